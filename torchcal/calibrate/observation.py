@@ -1,0 +1,83 @@
+"""The measured images at one resolution, ready to be compared with predicted ones."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from torchcal.model.job import Job
+from torchcal.model.sensor import Sensor
+
+JUMP = 0.02
+"""Share of the range: a larger step between neighbours is a depth jump, not a slope."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """All frames of a recording at one resolution."""
+
+    sensor: Sensor
+    range: Float[Tensor, "frame h w"]
+    """m; 0 where ``measured`` is false."""
+    measured: Bool[Tensor, "frame h w"]
+    """Pixels that the estimate may use."""
+    sigma: Float[Tensor, "frame h w"]
+    """Independent noise of each pixel (m)."""
+
+    def without(self, excluded: Bool[Tensor, "frame h w"]) -> "Observation":
+        """The same without some pixels."""
+        return replace(self, measured=self.measured & ~excluded)
+
+
+def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
+    """The job's images at full resolution, without the pixels at depth jumps of sharp sensors."""
+    ranges = torch.stack([frame.image.range for frame in job.frames]).to(dtype)
+    usable = torch.stack([frame.image.usable for frame in job.frames])
+    measured = usable & ranges.isfinite()
+    sigma = job.sensor.noise.sigma(ranges.nan_to_num(1.0))
+    if job.sensor.beam <= 1:
+        # Real cameras mix or invent ranges at jumps; a wide beam mixes them as eq. 17 says.
+        measured = measured & ~_near_jumps(ranges, measured, sigma)
+    return Observation(
+        sensor=job.sensor,
+        range=torch.where(measured, ranges, 0.0),
+        measured=measured,
+        sigma=sigma,
+    )
+
+
+def coarser(observation: Observation, factor: int) -> Observation:
+    """Means over blocks of ``factor`` x ``factor`` pixels of which at least half were measured."""
+    if factor == 1:
+        return observation
+    sensor = observation.sensor
+    count = _block_mean(observation.measured.to(observation.range), factor)
+    enough = count >= 0.5
+    safe = torch.where(enough, count, 1.0)
+    ranges = _block_mean(observation.range, factor) / safe
+    sigma = _block_mean(torch.where(observation.measured, observation.sigma, 0.0), factor) / safe
+    beam = max(1, 2 * round((sensor.beam / factor - 1) / 2) + 1) if sensor.beam else 0
+    return Observation(
+        sensor=replace(sensor, projection=sensor.projection.resized(factor), beam=beam),
+        range=torch.where(enough, ranges, 0.0),
+        measured=enough,
+        sigma=torch.where(enough, sigma / factor, 1.0),
+    )
+
+
+def _block_mean(images: Tensor, factor: int) -> Tensor:
+    return functional.avg_pool2d(images[:, None], factor)[:, 0]
+
+
+def _near_jumps(ranges: Tensor, measured: Tensor, sigma: Tensor) -> Tensor:
+    """Pixels within two of a depth jump."""
+    low = -_dilated(torch.where(measured, -ranges, -torch.inf), 3)
+    high = _dilated(torch.where(measured, ranges, -torch.inf), 3)
+    jump = (high - low) > torch.maximum(JUMP * ranges, 6.0 * sigma)
+    return _dilated((jump & measured).to(sigma), 3) > 0
+
+
+def _dilated(images: Tensor, side: int) -> Tensor:
+    return functional.max_pool2d(images[:, None], side, stride=1, padding=side // 2)[:, 0]

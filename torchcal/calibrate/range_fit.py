@@ -1,0 +1,124 @@
+"""The measurement equation on every pixel (eq. 2) as normal equations for the solver (eq. 9 to 16)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchcal.calibrate.observation import Observation
+from torchcal.calibrate.parameters import Parameters
+from torchcal.model.scene import Surface
+from torchcal.model.sensor import Drift
+from torchcal.render.synthesis import synthesise
+from torchcal.solve.field import SmoothField
+from torchcal.solve.gauss_newton import NormalEquations
+from torchcal.solve.image_equations import ImageEquations, image_equations
+
+FILLED = 0.75
+"""Share of the beam that must meet the model before a pixel is compared."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameResidual:
+    """Measured minus predicted of one frame."""
+
+    residual: Float[Tensor, "h w"]
+    """m; 0 where not compared."""
+    compared: Bool[Tensor, "h w"]
+    """Where both measurement and model are there."""
+    sigma: Float[Tensor, "h w"]
+    jacobian: Float[Tensor, "h w parameter"]
+    missed: int
+    """Measured pixels where the model is empty."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RangeFit:
+    """The robust fit of predicted to measured images, at one resolution and cut-off."""
+
+    observation: Observation
+    surface: Surface
+    parameters: Parameters
+    cutoff: float
+    """c of eq. 16, in standard deviations."""
+    drift: Drift | None
+    """The slowly varying part of the noise; its length in this resolution's pixels."""
+    inflation: float = 1.0
+    """How much larger the noise is than the sensor's sigma."""
+
+    def evaluate(self, states: Float[Tensor, "batch 2 4 4"]) -> NormalEquations:
+        """Normal equations of every state: all frames and the prior."""
+        elements = [self._evaluate_one(state) for state in states]
+        return NormalEquations(
+            cost=torch.stack([e.cost for e in elements]),
+            information=torch.stack([e.information for e in elements]),
+            gradient=torch.stack([e.gradient for e in elements]),
+        )
+
+    def residuals(self, state: Float[Tensor, "2 4 4"]) -> Iterator[FrameResidual]:
+        """Residuals frame by frame, so that one frame's derivatives are held at a time."""
+        poses = self.parameters.bodies_in_sensor(state).to(self.observation.range)
+        motions = self.parameters.motion(state).to(self.observation.range)
+        for k in range(len(poses)):
+            yield self._frame_residual(k, poses[k], motions[k])
+
+    def _frame_residual(self, k: int, poses: Tensor, motion: Tensor) -> FrameResidual:
+        observation = self.observation
+        synthesis = synthesise(self.surface, poses, observation.sensor, motion)
+        assert synthesis.jacobian is not None, "a motion was given"
+        finite = synthesis.range.isfinite() & synthesis.jacobian.isfinite().all(-1)
+        compared = observation.measured[k] & (synthesis.coverage > FILLED) & finite
+        residual = torch.where(compared, observation.range[k] - synthesis.range, 0.0)
+        return FrameResidual(
+            residual=residual,
+            compared=compared,
+            sigma=observation.sigma[k] * self.inflation,
+            jacobian=torch.where(compared[..., None], synthesis.jacobian, 0.0),
+            missed=int((observation.measured[k] & ~compared).sum()),
+        )
+
+    def _evaluate_one(self, state: Tensor) -> NormalEquations:
+        total = self._prior(state)
+        for frame in self.residuals(state):
+            part = self.frame_equations(frame)
+            # A pixel that the model leaves empty explains no more than one beyond the cut-off.
+            missed = frame.missed * self.cutoff**2 / 6.0
+            total = NormalEquations(
+                cost=total.cost + part.cost + missed,
+                information=total.information + part.information,
+                gradient=total.gradient + part.gradient,
+            )
+        return total
+
+    def _prior(self, state: Tensor) -> NormalEquations:
+        """The prior P of eq. 3 as one more measurement."""
+        precision = self.parameters.prior_sigma.double().square().reciprocal()
+        error = self.parameters.difference(state, self.parameters.nominal).double()
+        return NormalEquations(
+            cost=0.5 * (precision * error.square()).sum(),
+            information=torch.diag(precision),
+            gradient=-precision * error,
+        )
+
+    def frame_equations(self, frame: FrameResidual) -> ImageEquations:
+        """One frame's share of the normal equations."""
+        height, width = frame.residual.shape
+        field = None
+        if self.drift is not None:
+            field = SmoothField.of(
+                height,
+                width,
+                sigma=self.drift.sigma,
+                pixels=self.drift.pixels,
+                like=frame.residual.double(),
+            )
+        return image_equations(
+            frame.residual,
+            frame.jacobian,
+            frame.sigma,
+            frame.compared,
+            cutoff=self.cutoff,
+            field=field,
+        )

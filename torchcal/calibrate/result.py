@@ -1,0 +1,182 @@
+"""What a calibration finds: the estimate, the comparison and the update, as frozen data."""
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import trimesh
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchcal.model.job import Job
+
+
+class Status(StrEnum):
+    """Whether the answer can be used."""
+
+    CONVERGED = "converged"
+    AMBIGUOUS = "ambiguous"
+    UNOBSERVABLE = "unobservable"
+    FAILED = "failed"
+
+
+class PixelClass(IntEnum):
+    """What the comparison of eq. 5 says of a pixel."""
+
+    NOT_COMPARED = 0
+    """Outside the mask, or neither measured nor modelled."""
+    AGREES = 1
+    NEARER = 2
+    """The measurement is nearer than the model: something stands before it."""
+    FARTHER = 3
+    """The measurement is farther than the model: the sensor saw through it."""
+    MISSING = 4
+    """The model is there and nothing was measured."""
+    UNMODELLED = 5
+    """Something was measured where the model is empty."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UnobservableDirection:
+    """A direction of the parameters that the images say nothing about."""
+
+    words: str
+    vector: Float[Tensor, " parameter"]
+    """Unit vector in parameters divided by their prior sigmas."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Alternative:
+    """Another pose that explains the images too, or nearly."""
+
+    Ts_world_sensor: Float[Tensor, "frame 4 4"]
+    score: float
+    """Robust cost per usable pixel; the estimate's own is ``Estimate.score``."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Estimate:
+    """The estimated parameters and how sure they are (section 3)."""
+
+    status: Status
+    message: str
+    """One sentence for a person."""
+    names: tuple[str, ...]
+    """``base.x`` .. ``base.rz``, ``mount.x`` ..: the order of ``covariance``; held axes are left out."""
+    covariance: Float[Tensor, "parameter parameter"]
+    """P of eq. 3 (m, rad) of the twists on the right of the estimated poses."""
+    T_world_base: Float[Tensor, "4 4"]
+    T_link_sensor: Float[Tensor, "4 4"]
+    Ts_world_sensor: Float[Tensor, "frame 4 4"]
+    pose_covariances: Float[Tensor, "frame 6 6"]
+    """Of the twist on the right of each ``Ts_world_sensor``."""
+    sigma_scale: float
+    """How much larger the residuals are than the job's sigma says; at least 1."""
+    drift_sigma: float
+    """The slowly varying range error (m) that was used or estimated."""
+    drift_pixels: float
+    """Its correlation length (pixels)."""
+    score: float
+    unobservable: tuple[UnobservableDirection, ...]
+    alternatives: tuple[Alternative, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameComparison:
+    """One frame, pixel by pixel (eq. 1, 4 and 5)."""
+
+    name: str
+    measured: Float[Tensor, "h w"]
+    """m; NaN where nothing was measured."""
+    predicted: Float[Tensor, "h w"]
+    """m; NaN where the model is empty."""
+    sigma: Float[Tensor, "h w"]
+    """sigma' of eq. 4 (m); NaN where the model is empty."""
+    label: Int[Tensor, "h w"]
+    """One ``PixelClass`` per pixel."""
+    body: Int[Tensor, "h w"]
+    """Index into ``Scene.bodies`` of what the model shows; -1 where it is empty."""
+    colour: Float[Tensor, "h w 3"]
+    """The model's own colours, unshaded, 0 to 1; 0 where it is empty."""
+    normal: Float[Tensor, "h w 3"]
+    """Unit normals of the model towards the sensor, sensor frame; 0 where it is empty."""
+    usable: Bool[Tensor, "h w"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectVerdict:
+    """What the images say of one object of the world."""
+
+    verdict: str
+    """"agrees", "moved", "removed" or "unseen"."""
+    agree: int
+    seen_through: int
+    hidden: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AddedObject:
+    """Something that was measured and is not in the model."""
+
+    name: str
+    frames: tuple[str, ...]
+    mesh: trimesh.Trimesh
+    """World frame, metres."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Update:
+    """The proposed changes of the model (2.5)."""
+
+    verdicts: dict[str, ObjectVerdict]
+    added: tuple[AddedObject, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Calibration:
+    """The whole answer to a job."""
+
+    job: Job
+    estimate: Estimate
+    comparisons: tuple[FrameComparison, ...]
+    update: Update
+    timing: dict[str, float]
+    """Seconds for each stage."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameCheck:
+    """What one frame holds at the nominal pose, before anything is estimated."""
+
+    name: str
+    measured_fraction: float
+    """The share of all pixels that were measured."""
+    usable_fraction: float
+    """The share of all pixels that were measured and may be used."""
+    model_fraction: float
+    """The share of usable pixels in which the model is seen."""
+    median_range_m: float
+    """Of the usable measurement; NaN where there is none."""
+    predicted_median_range_m: float
+    """Of the model; NaN where it is not seen."""
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParameterCheck:
+    """How well the images can tell one parameter, at the nominal pose."""
+
+    name: str
+    prior_sigma: float
+    """m or rad"""
+    expected_sigma: float
+    """What a calibration may be expected to leave of it (m or rad)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JobCheck:
+    """What can be said of a job without estimating anything."""
+
+    frames: tuple[FrameCheck, ...]
+    parameters: tuple[ParameterCheck, ...]
+    unobservable: tuple[UnobservableDirection, ...]
+    warnings: tuple[str, ...]

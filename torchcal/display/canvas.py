@@ -1,0 +1,102 @@
+"""Figures laid out in pixels, so that one image pixel covers whole figure pixels."""
+
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import Colormap, Normalize
+from matplotlib.figure import Figure
+from PIL import Image
+
+DOTS_PER_INCH = 100
+INK = "#1d1f22"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Box:
+    """A rectangle of a figure in pixels from its upper left corner."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def bottom(self) -> int:
+        """The row below the rectangle."""
+        return self.top + self.height
+
+    @property
+    def right(self) -> int:
+        """The column right of the rectangle."""
+        return self.left + self.width
+
+
+def blank(width: int, height: int) -> Figure:
+    """An empty white figure of so many pixels."""
+    figure = Figure(figsize=(width / DOTS_PER_INCH, height / DOTS_PER_INCH), dpi=DOTS_PER_INCH)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def displayed_size(shape: tuple[int, int], target: int) -> tuple[int, int]:
+    """Width and height in pixels at which an image of ``shape`` (rows, columns) is drawn.
+
+    About ``target`` wide, enlarged by a whole factor where it is smaller; flat images such as those
+    of a lidar with few rows are stretched to at least a quarter of their width.
+    """
+    rows, columns = shape
+    scale = min(target / columns, 1.3 * target / rows)
+    scale = float(int(scale)) if scale >= 1.0 else scale
+    width, height = round(columns * scale), round(rows * scale)
+    return max(width, target // 4), max(height, width // 4)
+
+
+def axes_at(figure: Figure, box: Box) -> Axes:
+    """Bare axes that fill a box of a figure."""
+    width, height = (round(side * DOTS_PER_INCH) for side in figure.get_size_inches())
+    place = (box.left / width, 1.0 - box.bottom / height, box.width / width, box.height / height)
+    axes = figure.add_axes(place)
+    axes.set_axis_off()
+    return axes
+
+
+def write(figure: Figure, left: int, top: int, words: str, **style: object) -> None:
+    """A line of text whose upper left corner is at a pixel."""
+    width, height = (round(side * DOTS_PER_INCH) for side in figure.get_size_inches())
+    settings: dict = {"color": INK, "fontsize": 11, "va": "top", "ha": "left"} | style
+    figure.text(left / width, 1.0 - top / height, words, **settings)
+
+
+def show(axes: Axes, image: np.ndarray) -> None:
+    """Draws an RGB image over the whole axes, its pixels as sharp squares."""
+    enlarged = image.shape[1] <= axes.get_window_extent().width
+    axes.imshow(image, aspect="auto", interpolation="nearest" if enlarged else "antialiased")
+
+
+def colour_bar(
+    figure: Figure, box: Box, colours: Colormap, limits: tuple[float, float], title: str
+) -> Colorbar:
+    """A vertical scale in a box, with a title above it; values beyond its ends keep the end's colour."""
+    axes = axes_at(figure, box)
+    axes.set_axis_on()
+    mappable = ScalarMappable(Normalize(*limits), colours)
+    bar = figure.colorbar(mappable, cax=axes)
+    bar.ax.tick_params(labelsize=10, colors=INK)
+    write(figure, box.left, box.top - 22, title, fontsize=10)
+    return bar
+
+
+def pixels(figure: Figure) -> Image.Image:
+    """The drawn figure."""
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    with matplotlib.rc_context({"font.family": "DejaVu Sans"}):
+        canvas.draw()
+    drawn: UInt8[np.ndarray, "h w 4"] = np.asarray(canvas.buffer_rgba())
+    return Image.fromarray(drawn[..., :3].copy())

@@ -1,0 +1,140 @@
+"""The report that a person opens first: one file with every picture inside it."""
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from torchcal.calibrate.result import (
+    AddedObject,
+    Calibration,
+    PixelClass,
+    Status,
+)
+from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
+from torchcal.display.figures import SHOWN_AS, class_counts
+from torchcal.display.summary import corrections, distance_words, settings
+
+MOST_PICTURES = 24
+"""More frames than this make a file too large to send: the worst ones are shown."""
+
+WIDEST_PICTURE = 1200
+"""Pixels; wider pictures are reduced."""
+
+HEADLINES: dict[Status, str] = {
+    Status.CONVERGED: "The answer can be used",
+    Status.AMBIGUOUS: "Not usable: more than one pose explains the images",
+    Status.UNOBSERVABLE: "Not usable: the images do not fix everything that was asked",
+    Status.FAILED: "Not usable: no pose explains the images",
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FramePictures:
+    """The drawn figures of one frame."""
+
+    hybrid: Image.Image
+    comparison: Image.Image
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameSection:
+    """One frame as the report shows it."""
+
+    name: str
+    counts: dict[PixelClass, int]
+    agreement: str
+    """Percent of the compared pixels that agree."""
+    sigma: str
+    hybrid: str
+    """A data URI; empty where the picture is left out."""
+    comparison: str
+
+
+def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
+    """The whole report as HTML.
+
+    Args:
+        calibration: The answer.
+        pictures: The figures of each frame, in the order of ``calibration.comparisons``.
+    """
+    environment = Environment(
+        loader=PackageLoader("torchcal.display", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    estimate = calibration.estimate
+    here = estimate.Ts_world_sensor[0]
+    return environment.get_template("report.html.j2").render(
+        calibration=calibration,
+        estimate=estimate,
+        headline=HEADLINES[estimate.status],
+        corrections=corrections(calibration),
+        unobservable=[direction.words for direction in estimate.unobservable],
+        alternatives=[
+            (distance_words(here, other.Ts_world_sensor[0]), other.score)
+            for other in estimate.alternatives
+        ],
+        frames=_sections(calibration, pictures),
+        classes=[(each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each]) for each in SHOWN_AS],
+        added=[(item, _centre(item), _extent(item)) for item in calibration.update.added],
+        settings=settings(calibration.job),
+        most_pictures=MOST_PICTURES,
+    )
+
+
+def agreement(counts: dict[PixelClass, int]) -> float:
+    """The share of the compared pixels in which the model agrees; 0 where none was compared."""
+    compared = sum(counts.values()) - counts[PixelClass.NOT_COMPARED]
+    return counts[PixelClass.AGREES] / max(1, compared)
+
+
+def _sections(
+    calibration: Calibration, pictures: Sequence[FramePictures]
+) -> list[FrameSection]:
+    """Every frame; pictures of those that agree least."""
+    counts = [class_counts(comparison) for comparison in calibration.comparisons]
+    worst = sorted(range(len(counts)), key=lambda index: agreement(counts[index]))
+    shown = set(worst[:MOST_PICTURES])
+    return [
+        FrameSection(
+            name=comparison.name,
+            counts=counts[index],
+            agreement=f"{100.0 * agreement(counts[index]):.1f} %",
+            sigma=_sigma_words(calibration, index),
+            hybrid=_embedded(pictures[index].hybrid) if index in shown else "",
+            comparison=_embedded(pictures[index].comparison) if index in shown else "",
+        )
+        for index, comparison in enumerate(calibration.comparisons)
+    ]
+
+
+def _sigma_words(calibration: Calibration, index: int) -> str:
+    """How sure the pose of a frame is: the root of the summed variances."""
+    variances = calibration.estimate.pose_covariances[index].diagonal().clamp(min=0.0)
+    metres, radians = (float(part.sum().sqrt()) for part in (variances[:3], variances[3:]))
+    return f"{1000.0 * metres:.2f} mm, {1000.0 * radians:.2f} mrad"
+
+
+def _embedded(picture: Image.Image) -> str:
+    """A picture as a data URI of sensible size."""
+    reduced = picture.copy()
+    reduced.thumbnail((WIDEST_PICTURE, 4 * WIDEST_PICTURE))
+    buffer = io.BytesIO()
+    reduced.save(buffer, format="JPEG", quality=85)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _centre(item: AddedObject) -> str:
+    """The middle of an added object in world axes."""
+    return ", ".join(f"{value:.3f}" for value in item.mesh.bounds.mean(axis=0))
+
+
+def _extent(item: AddedObject) -> str:
+    """The sides of an added object along the world's axes."""
+    return " × ".join(f"{value:.3f}" for value in item.mesh.extents)

@@ -1,0 +1,181 @@
+"""The answer as rows that a person reads: corrections, uncertainties and the settings of the job."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.result import Calibration
+from torchcal.geometry import se3
+from torchcal.geometry.projection import Pinhole
+from torchcal.model.job import Job, PosePrior
+from torchcal.model.sensor import Noise, Sensor
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+MILLI = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AxisCorrection:
+    """One axis of a corrected pose; mm, or degrees for a rotation."""
+
+    axis: str
+    unit: str
+    change: float
+    sigma: float
+    """0 where the axis was held."""
+    prior: float
+    """What the job thought possible, one standard deviation; 0 where the axis was held."""
+
+    @property
+    def held(self) -> bool:
+        """Whether the job took this axis for certain."""
+        return self.prior == 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PoseCorrection:
+    """A pose that was unknown: what was believed, what was found."""
+
+    title: str
+    nominal: str
+    estimated: str
+    axes: tuple[AxisCorrection, ...]
+
+
+def axis_sigmas(
+    names: tuple[str, ...], covariance: Float[Tensor, "parameter parameter"], group: str
+) -> list[float]:
+    """Standard deviations (m, m, m, rad, rad, rad) of ``base`` or ``mount``; 0 for held axes."""
+    sigmas = covariance.diagonal().clamp(min=0.0).sqrt().tolist()
+    known = dict(zip(names, sigmas, strict=True))
+    return [known.get(f"{group}.{axis}", 0.0) for axis in AXES]
+
+
+def corrections(calibration: Calibration) -> tuple[PoseCorrection, ...]:
+    """What was corrected, in the order in which the job lists its unknowns."""
+    job, estimate = calibration.job, calibration.estimate
+    found = []
+    if job.base is not None:
+        title, nominal, estimated = _base_poses(calibration)
+        sigmas = _base_sigmas(calibration)
+        found.append(_correction(title, nominal, estimated, sigmas, job.base))
+    if job.mount is not None:
+        sigmas = axis_sigmas(estimate.names, estimate.covariance, "mount")
+        poses = job.T_link_sensor, estimate.T_link_sensor
+        title = f"Sensor on {job.link}" if job.link else "Sensor mount"
+        found.append(_correction(title, *poses, sigmas, job.mount))
+    return tuple(found)
+
+
+def _base_poses(calibration: Calibration) -> tuple[str, Tensor, Tensor]:
+    """Title, nominal and estimated pose of the base, or of the first frame's hand-held sensor."""
+    job, estimate = calibration.job, calibration.estimate
+    nominal = job.frames[0].T_world_sensor
+    if job.robot is not None or nominal is None:
+        return "Robot base in the world", job.T_world_base, estimate.T_world_base
+    return "Sensor in the world (first frame)", nominal, estimate.Ts_world_sensor[0]
+
+
+def _base_sigmas(calibration: Calibration) -> list[float]:
+    """One standard deviation on each axis of the pose that ``unknown.base`` stands for."""
+    estimate = calibration.estimate
+    if calibration.job.robot is not None:
+        return axis_sigmas(estimate.names, estimate.covariance, "base")
+    return estimate.pose_covariances[0].diagonal().clamp(min=0.0).sqrt().tolist()
+
+
+def _correction(
+    title: str, nominal: Tensor, estimated: Tensor, sigmas: list[float], prior: PosePrior
+) -> PoseCorrection:
+    """The rows of one pose."""
+    twist = se3.log(se3.inverse(nominal) @ estimated.to(nominal)).tolist()
+    believed = prior.sigma.tolist()
+    scales = [(MILLI, "mm")] * 3 + [(math.degrees(1.0), "°")] * 3
+    axes = tuple(
+        AxisCorrection(
+            axis=axis,
+            unit=unit,
+            change=scale * twist[i],
+            sigma=scale * sigmas[i],
+            prior=scale * believed[i],
+        )
+        for i, (axis, (scale, unit)) in enumerate(zip(AXES, scales, strict=True))
+    )
+    return PoseCorrection(
+        title=title, nominal=pose_words(nominal), estimated=pose_words(estimated), axes=axes
+    )
+
+
+def pose_words(T: Float[Tensor, "4 4"]) -> str:
+    """A pose as xyz in metres and roll, pitch, yaw in degrees."""
+    xyz, rpy = se3.to_xyz_rpy(T)
+    place = ", ".join(f"{value + 0.0:.4f}" for value in xyz.tolist())
+    turn = ", ".join(f"{value + 0.0:.3f}" for value in torch.rad2deg(rpy).tolist())
+    return f"xyz ({place}) m, roll pitch yaw ({turn})°"
+
+
+def distance_words(one: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> str:
+    """How far one pose is from another, in mm and degrees."""
+    twist = se3.log(se3.inverse(one) @ other.to(one))
+    moved, turned = MILLI * float(twist[:3].norm()), math.degrees(float(twist[3:].norm()))
+    return f"{moved:.1f} mm and {turned:.2f}° away"
+
+
+def settings(job: Job) -> dict[str, str]:
+    """What the job says, in words with units."""
+    rows = {
+        "Job file": job.file.name,
+        "Frames": str(len(job.frames)),
+        "World": f"{len(job.world.objects)} objects" if job.world else "none: only the robot",
+        "Robot": job.robot.name if job.robot else "none: hand-held sensor",
+    }
+    if job.link is not None:
+        rows["Sensor on"] = job.link
+    rows |= _sensor_settings(job.sensor)
+    rows["Prior of the base"] = _prior_words(job.base)
+    rows["Prior of the mount"] = _prior_words(job.mount)
+    rows["Alpha"] = f"{job.alpha:g} standard deviations (eq. 5)"
+    return rows
+
+
+def _sensor_settings(sensor: Sensor) -> dict[str, str]:
+    """The sensor's part of the settings."""
+    lens = sensor.projection
+    kind = "pinhole, depth along z" if isinstance(lens, Pinhole) else "spherical, distance"
+    return {
+        "Sensor": f"{kind}, {lens.width} × {lens.height} pixels",
+        "Limits": f"{sensor.near:g} to {sensor.far:g} m",
+        "Noise of a pixel": _noise_words(sensor.noise),
+        "Beam": f"{sensor.beam} × {sensor.beam} pixels" if sensor.beam else "an ideal ray",
+    }
+
+
+def _noise_words(noise: Noise) -> str:
+    """Standard deviation of a pixel as the job gives it."""
+    words = f"{MILLI * noise.a:g} mm"
+    if noise.b or noise.c:
+        words = f"{noise.a:g} + {noise.b:g} z + {noise.c:g} z² (m)"
+    if noise.drift is None:
+        return f"{words}; slow drift estimated"
+    if noise.drift.sigma == 0.0:
+        return f"{words}; no slow drift"
+    drift = noise.drift
+    return f"{words}; slow drift {MILLI * drift.sigma:g} mm over {drift.pixels:g} pixels"
+
+
+def _prior_words(prior: PosePrior | None) -> str:
+    """One standard deviation of a prior; one number where its axes are alike."""
+    if prior is None:
+        return "known exactly"
+    metres, radians = prior.sigma[:3], prior.sigma[3:]
+    return f"{_numbers(MILLI * metres)} mm, {_numbers(torch.rad2deg(radians))}°"
+
+
+def _numbers(values: Tensor) -> str:
+    """The values, once if all are the same."""
+    words = [f"{value:.4g}" for value in values.tolist()]
+    return words[0] if len(set(words)) == 1 else ", ".join(words)

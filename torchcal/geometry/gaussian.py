@@ -1,0 +1,36 @@
+"""Gaussian uncertainty: propagation and what a prior is told by data."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def predicted_sigma(
+    H: Float[Tensor, "*batch parameter"],
+    P: Float[Tensor, "parameter parameter"],
+    sigma: Float[Tensor, "*batch"],
+) -> Float[Tensor, "*batch"]:
+    """sigma' = sqrt(H P H^T + sigma^2), the standard deviation of measured minus predicted (eq. 4)."""
+    variance = ((H @ P) * H).sum(-1)
+    return (variance.clamp(min=0.0) + sigma.square()).sqrt()
+
+
+def moved_covariance(
+    P: Float[Tensor, "parameter parameter"], J: Float[Tensor, "*batch 6 parameter"]
+) -> Float[Tensor, "*batch 6 6"]:
+    """J P J^T, the covariance of what depends on the parameters by J."""
+    return J @ P @ J.mT
+
+
+def left_over(
+    covariance: Float[Tensor, "n n"], prior_sigma: Float[Tensor, " n"]
+) -> tuple[Float[Tensor, " n"], Float[Tensor, "n n"]]:
+    """How much of the prior's standard deviation the data leave, by direction.
+
+    Returns:
+        Ratios, 1 where the data say nothing, in falling order; the directions, in units of the
+        prior's sigmas, as columns.
+    """
+    scaled = covariance / prior_sigma[:, None] / prior_sigma
+    ratio, direction = torch.linalg.eigh(0.5 * (scaled + scaled.mT))
+    return ratio.clamp(min=0.0).sqrt().flip(0), direction.flip(1)

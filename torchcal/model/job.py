@@ -1,0 +1,57 @@
+"""A job as the method uses it: everything read, checked and in metres and radians."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.model.range_image import RangeImage
+from torchcal.model.robot import Robot
+from torchcal.model.sensor import Sensor
+from torchcal.model.world import World
+
+WORLD_LINK = "world"
+"""The ``sensor.link`` of a sensor that stands still and watches the robot."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Frame:
+    """One range image and where the robot believed to be."""
+
+    image: RangeImage
+    joints: Float[Tensor, " joint"] | None
+    """Joint values (rad, m) in the order of ``Robot.joint_names``; None without a robot."""
+    T_world_sensor: Float[Tensor, "4 4"] | None
+    """Nominal pose of the sensor; None with a robot."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PosePrior:
+    """What may be wrong with a pose: standard deviations of a twist on its right."""
+
+    sigma: Float[Tensor, " 6"]
+    """(m, m, m, rad, rad, rad); 0 holds that axis."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Job:
+    """A recording and everything that is believed about it."""
+
+    file: Path
+    world: World | None
+    robot: Robot | None
+    sensor: Sensor
+    link: str | None
+    """The link that carries the sensor, ``WORLD_LINK`` if it stands still; None without a robot."""
+    T_world_base: Float[Tensor, "4 4"]
+    """Nominal; identity without a robot."""
+    T_link_sensor: Float[Tensor, "4 4"]
+    """Nominal mount; identity without a robot."""
+    frames: tuple[Frame, ...]
+    base: PosePrior | None
+    """``unknown.base``; without a robot, one correction shared by the poses of all frames."""
+    mount: PosePrior | None
+    """``unknown.mount``"""
+    alpha: float = 3.0
+    """The factor of eq. 1 and eq. 5."""

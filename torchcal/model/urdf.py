@@ -1,0 +1,99 @@
+"""Writing the corrected URDF. Reading is in ``torchcal.model.urdf_reader``."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.errors import JobError
+from torchcal.geometry import se3
+from torchcal.model.job import WORLD_LINK
+from torchcal.model.link_meshes import resolve
+from torchcal.model.mesh_copy import MeshFolder
+from torchcal.model.robot import Robot
+from torchcal.model.urdf_reader import read_xml
+
+SENSOR_LINK = "torchcal_sensor"
+
+
+def write_urdf(
+    robot: Robot,
+    file: Path,
+    *,
+    T_world_base: Float[Tensor, "4 4"],
+    link: str,
+    T_link_sensor: Float[Tensor, "4 4"],
+) -> None:
+    """Writes the robot's URDF with where its base stands and where its sensor is.
+
+    The tree stays as it was. New are a root link ``world`` (``torchcal_world`` where that name is
+    taken) with a fixed joint to the old root, and a link ``torchcal_sensor`` fixed to the link that
+    carries the sensor. Mesh files are copied to ``meshes`` beside the file, with the materials and
+    images that they name.
+
+    Args:
+        robot: As ``load_robot`` read it; its file is read again.
+        file: The URDF to write.
+        T_world_base: Where the root link stands in the world (m).
+        link: The link that carries the sensor; ``WORLD_LINK`` for one that stands still.
+        T_link_sensor: Where the sensor is on it (m).
+
+    Raises:
+        TorchcalError: If the robot has no such link, or its file can no longer be read.
+    """
+    if link != WORLD_LINK:
+        robot.link_index(link)
+    root = read_xml(robot.file)
+    _copy_files(robot.file, root, MeshFolder(file.parent / "meshes"))
+    links = {element.get("name", "") for element in root.findall("link")}
+    joints = {element.get("name", "") for element in root.findall("joint")}
+    world = WORLD_LINK if WORLD_LINK not in links else _free("torchcal_world", links)
+    sensor = _free(SENSOR_LINK, links)
+    carrier = world if link == WORLD_LINK else link
+    base = _free("torchcal_base_joint", joints)
+    mount = _free("torchcal_sensor_joint", joints)
+    new = [
+        ET.Element("link", name=world),
+        _fixed_joint(base, world, robot.link_names[0], T_world_base),
+        ET.Element("link", name=sensor),
+        _fixed_joint(mount, carrier, sensor, T_link_sensor),
+    ]
+    root.extend(new)
+    ET.indent(root)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    ET.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """The name, or with a number that makes it new."""
+    count, free = 1, name
+    while free in taken:
+        count += 1
+        free = f"{name}_{count}"
+    return free
+
+
+def _fixed_joint(name: str, parent: str, child: str, T_parent_child: Tensor) -> ET.Element:
+    joint = ET.Element("joint", name=name, type="fixed")
+    xyz, rpy = se3.to_xyz_rpy(T_parent_child.detach().cpu().double())
+    ET.SubElement(joint, "origin", xyz=_digits(xyz), rpy=_digits(rpy))
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    return joint
+
+
+def _digits(values: Tensor) -> str:
+    """All 17 digits of a double: reading gives the same bits."""
+    return " ".join(f"{value:.17g}" for value in values.tolist())
+
+
+def _copy_files(urdf: Path, root: ET.Element, folder: MeshFolder) -> None:
+    """Copies every file that the URDF names; collision meshes that are not there stay as named."""
+    for element in [*root.iter("mesh"), *root.iter("texture")]:
+        name = element.get("filename", "")
+        try:
+            source = resolve(urdf, name, element.tag)
+        except JobError:
+            continue
+        element.set("filename", f"{folder.folder.name}/{folder.add(source)}")

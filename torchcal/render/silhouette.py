@@ -1,0 +1,103 @@
+"""Silhouettes: the edges at which the surface ends in the image, as pieces that are straight there.
+
+A silhouette is an edge whose two faces lie on the same side of it in the image, or the border of an
+open mesh. This does not ask which way the faces are wound.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchcal.geometry.projection import Projection, Spherical
+from torchcal.model.scene import Surface
+
+CLOSE = 1e-6
+"""Edges are clipped at this depth (m) before a pinhole."""
+ARC = 8.0
+"""Longest piece (pixels) of an edge that is taken as straight in a spherical image."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pieces:
+    """Pieces of silhouette edges in one image."""
+
+    edge: Int[Tensor, " piece"]
+    apex: Int[Tensor, " piece"]
+    """The third vertex of a face of the edge: it tells on which side the surface is."""
+    start: Float[Tensor, "piece 2"]
+    """Pixel coordinates (u, v)."""
+    end: Float[Tensor, "piece 2"]
+
+
+def silhouette_pieces(
+    vertices: Float[Tensor, "vertex 3"], surface: Surface, projection: Projection
+) -> Pieces:
+    """The silhouettes of one view that may cross its image; vertices in the sensor's frame (m)."""
+    edge, apex = _silhouettes(vertices, surface)
+    first, last = vertices[surface.edges[edge]].unbind(1)
+    cut = _split if isinstance(projection, Spherical) else _clip
+    first, last, piece = cut(first, last, projection)
+    start, end = projection.pixels(first), projection.pixels(last)
+    keep = torch.nonzero(_reaches_image(start, end, projection))[:, 0]
+    piece = piece[keep]
+    return Pieces(edge=edge[piece], apex=apex[piece], start=start[keep], end=end[keep])
+
+
+def _reaches_image(start: Tensor, end: Tensor, projection: Projection) -> Tensor:
+    size = torch.tensor([projection.width, projection.height], device=start.device)
+    low, high = torch.minimum(start, end), torch.maximum(start, end)
+    inside = ((high > -1) & (low < size)).all(-1) & low.isfinite().all(-1) & high.isfinite().all(-1)
+    if isinstance(projection, Spherical):
+        # A piece over the seam of the azimuth seems to span the whole turn.
+        inside &= (high - low)[:, 0] * abs(projection.azimuth_step) < math.pi
+    return inside
+
+
+def _silhouettes(vertices: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+    """Silhouette edges and for each a vertex on its own side."""
+    apex = _apexes(surface)
+    first, last = vertices[surface.edges].unbind(1)
+    plane = torch.linalg.cross(first, last - first)
+    side = (plane[:, None] * vertices[apex.clamp(min=0)]).sum(-1).sign()
+    border = surface.edge_faces[:, 1] < 0
+    edge = torch.nonzero(border | (side[:, 0] * side[:, 1] > 0))[:, 0]
+    return edge, apex[edge, 0]
+
+
+def _apexes(surface: Surface) -> Tensor:
+    """The corner opposite to each edge in its two faces; -1 where there is no second face."""
+    total = surface.faces[surface.edge_faces.clamp(min=0)].sum(-1)
+    apex = total - surface.edges.sum(-1, keepdim=True)
+    return torch.where(surface.edge_faces >= 0, apex, -1)
+
+
+def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, Tensor]:
+    """The parts of edges before a pinhole."""
+    piece = torch.nonzero((first[:, 2] > CLOSE) | (last[:, 2] > CLOSE))[:, 0]
+    first, last = first[piece], last[piece]
+
+    def pulled(a: Tensor, b: Tensor) -> Tensor:
+        share = ((CLOSE - a[:, 2]) / (b[:, 2] - a[:, 2])).clamp(0, 1)[:, None]
+        return torch.where(a[:, 2:] > CLOSE, a, a + share.nan_to_num(0.0) * (b - a))
+
+    return pulled(first, last), pulled(last, first), piece
+
+
+def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
+    """Edges cut into pieces of at most ``ARC`` pixels."""
+    assert isinstance(projection, Spherical)
+    step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
+    normalize = torch.nn.functional.normalize
+    angle = (normalize(first, dim=-1) - normalize(last, dim=-1)).norm(dim=-1)
+    # Equal lengths on the edge are unequal angles: twice the pieces keep the longest one short.
+    count = (2.0 * angle / (ARC * step)).ceil().clamp(min=1).long()
+    piece = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
+    order = torch.arange(len(piece), device=count.device) - (count.cumsum(0) - count)[piece]
+    share = (order / count[piece])[:, None].to(first)
+    width = (1.0 / count[piece])[:, None].to(first)
+    direction = (last - first)[piece]
+    begin = first[piece] + share * direction
+    return begin, begin + width * direction, piece

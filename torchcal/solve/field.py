@@ -1,0 +1,80 @@
+"""A slowly varying error over an image, as part of the noise's covariance (W of eq. 8).
+
+The error is a Gaussian field: cubic B-splines on a coarse grid with independent coefficients, whose
+correlation is close to exp(-d^2 / (2 L^2)). Marginalising the coefficients is exact and keeps the
+normal equations small: only a matrix of the size of the grid is factorised.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+SPACING = 1.5**0.5
+"""Grid spacing in correlation lengths: cubic B-splines then correlate with length L."""
+VARIANCE = (151.0 / 315.0) ** 2
+"""Mean over a cell of the sum of squares of the two-dimensional cubic B-splines."""
+BAND = 3
+"""Cubic B-splines overlap with three neighbours on each side."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SmoothField:
+    """A Gaussian field over an image."""
+
+    rows: Float[Tensor, "h row"]
+    columns: Float[Tensor, "w column"]
+    precision: float
+    """Of every coefficient (1/m^2)."""
+
+    @staticmethod
+    def of(height: int, width: int, *, sigma: float, pixels: float, like: Tensor) -> "SmoothField":
+        """The field with this standard deviation (m) and correlation length (pixels)."""
+        return SmoothField(
+            rows=_splines(height, SPACING * pixels, like),
+            columns=_splines(width, SPACING * pixels, like),
+            precision=VARIANCE / sigma**2,
+        )
+
+    def project(self, images: Float[Tensor, "*batch h w"]) -> Float[Tensor, "*batch coefficient"]:
+        """Phi^T x for each image."""
+        return (self.rows.mT @ images @ self.columns).flatten(-2)
+
+    def expand(self, coefficients: Float[Tensor, " coefficient"]) -> Float[Tensor, "h w"]:
+        """Phi a, the field (m)."""
+        grid = coefficients.view(self.rows.shape[1], self.columns.shape[1])
+        return self.rows @ grid @ self.columns.mT
+
+    def factorise(self, weight: Float[Tensor, "h w"]) -> Float[Tensor, "coefficient coefficient"]:
+        """Cholesky factor of Phi^T W Phi + prior."""
+        matrix = _gram(self.rows, self.columns, weight)
+        matrix.diagonal().add_(self.precision)
+        return torch.linalg.cholesky_ex(matrix)[0]
+
+
+def _splines(size: int, spacing: float, like: Tensor) -> Tensor:
+    """Cubic B-splines at every pixel; knots reach one spacing beyond both ends."""
+    count = int((size - 1) / spacing) + 4
+    place = torch.arange(size, dtype=like.dtype, device=like.device) / spacing
+    knot = torch.arange(count, dtype=like.dtype, device=like.device) - 1.0
+    d = (place[:, None] - knot).abs()
+    inner = 2.0 / 3.0 - d.square() + 0.5 * d**3
+    outer = (2.0 - d).clamp(min=0.0) ** 3 / 6.0
+    return torch.where(d < 1.0, inner, outer)
+
+
+def _gram(rows: Tensor, columns: Tensor, weight: Tensor) -> Tensor:
+    """Phi^T W Phi from products of neighbouring splines, one pair of offsets at a time."""
+    height, width = rows.shape[1], columns.shape[1]
+    gram = rows.new_zeros(height, width, height, width)
+    for dy in range(min(BAND, height - 1) + 1):
+        pair = rows[:, : height - dy] * rows[:, dy:]
+        banded = pair.mT @ weight
+        i = torch.arange(height - dy, device=rows.device)[:, None]
+        for dx in range(-min(BAND, width - 1), min(BAND, width - 1) + 1):
+            k = torch.arange(max(0, -dx), width - max(0, dx), device=rows.device)
+            value = banded @ (columns[:, k] * columns[:, k + dx])
+            gram[i, k, i + dy, k + dx] = value
+            gram[i + dy, k + dx, i, k] = value
+    return gram.view(height * width, height * width)

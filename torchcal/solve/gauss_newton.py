@@ -1,0 +1,144 @@
+"""Batched damped Gauss-Newton on manifolds (eq. 9 to 13).
+
+Each element of the batch is a problem of its own, with its own damping, acceptance and stop. A step is
+accepted on the robust cost, the sum of rho, never on the weighted squares.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+class StopReason(IntEnum):
+    """Why an element of the batch stopped."""
+
+    CONVERGED = 0
+    ITERATIONS = 1
+    """The iterations were used up while the cost still fell."""
+    STUCK = 2
+    """No damping gave a lower cost."""
+    INVALID = 3
+    """The cost or its derivatives were not finite at the start."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NormalEquations:
+    """A batch of linearised problems: cost and its quadratic model in the step."""
+
+    cost: Float[Tensor, " batch"]
+    """The sum of rho; infinite where the state is impossible."""
+    information: Float[Tensor, "batch parameter parameter"]
+    """A^T W A of eq. 12."""
+    gradient: Float[Tensor, "batch parameter"]
+    """A^T W (y - f): the direction in which the cost falls."""
+
+    def where(self, accept: Tensor, other: "NormalEquations") -> "NormalEquations":
+        """These elements where ``accept`` holds, the others elsewhere."""
+        return NormalEquations(
+            cost=torch.where(accept, self.cost, other.cost),
+            information=torch.where(accept[:, None, None], self.information, other.information),
+            gradient=torch.where(accept[:, None], self.gradient, other.gradient),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GaussNewtonConfig:
+    """Settings of the damped Gauss-Newton iteration."""
+
+    iterations: int = 20
+    """Most steps that are tried."""
+    damping: float = 1e-4
+    """First lambda of eq. 12, relative to the diagonal of the information."""
+    tolerance: float = 1e-3
+    """Stop when the step is shorter than this many of its own standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Solution:
+    """The end state of every element."""
+
+    state: Tensor
+    equations: NormalEquations
+    """At ``state``."""
+    stop: Int[Tensor, " batch"]
+    """One ``StopReason`` each."""
+    iterations: Int[Tensor, " batch"]
+
+
+def minimise(
+    evaluate: Callable[[Tensor], NormalEquations],
+    retract: Callable[[Tensor, Tensor], Tensor],
+    state: Tensor,
+    config: GaussNewtonConfig,
+) -> Solution:
+    """Minimises a batch of robust nonlinear least-squares problems (eq. 9 to 13).
+
+    Args:
+        evaluate: Normal equations of a batch of states.
+        retract: Moves a batch of states by steps ``(batch, parameter)``.
+        state: Where to start, ``(batch, ...)``.
+        config: Iterations, damping and stop.
+    """
+    current = evaluate(state)
+    stop = torch.full(state.shape[:1], StopReason.ITERATIONS.value, device=state.device)
+    stop = torch.where(_is_finite(current), stop, StopReason.INVALID.value)
+    damping = torch.full_like(current.cost, config.damping)
+    iterations = torch.zeros_like(stop)
+    for _ in range(config.iterations):
+        active = stop == StopReason.ITERATIONS
+        if not active.any():
+            break
+        step, length = _damped_step(current, damping)
+        trial_state = retract(state, torch.where(active[:, None], step, torch.zeros_like(step)))
+        trial = evaluate(trial_state)
+        accept = active & _is_finite(trial) & (trial.cost <= current.cost)
+        state = torch.where(_broadcast(accept, state), trial_state, state)
+        current = trial.where(accept, current)
+        damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=1e-9)
+        iterations = iterations + active
+        stop = torch.where(active & (damping > 1e6), StopReason.STUCK.value, stop)
+        short = active & (length < config.tolerance)
+        stop = torch.where(short, StopReason.CONVERGED.value, stop)
+    return Solution(state=state, equations=current, stop=stop, iterations=iterations)
+
+
+def covariance(
+    information: Float[Tensor, "*batch parameter parameter"],
+) -> Float[Tensor, "*batch parameter parameter"]:
+    """Inverse of the information; NaN for elements where it is singular."""
+    scale = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).rsqrt()
+    scaled = information * scale[..., :, None] * scale[..., None, :]
+    factor, failed = torch.linalg.cholesky_ex(scaled)
+    inverse = torch.cholesky_inverse(factor)
+    inverse = torch.where((failed == 0)[..., None, None], inverse, torch.nan)
+    return inverse * scale[..., :, None] * scale[..., None, :]
+
+
+def _damped_step(equations: NormalEquations, damping: Tensor) -> tuple[Tensor, Tensor]:
+    """Solves (A^T W A + lambda diag) dx = gradient; the length is in standard deviations."""
+    information = equations.information
+    diagonal = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-12)
+    scale = diagonal.rsqrt()
+    matrix = information * scale[:, :, None] * scale[:, None, :]
+    matrix = matrix + torch.diag_embed(damping[:, None].expand_as(scale))
+    right = (equations.gradient * scale)[..., None]
+    factor, failed = torch.linalg.cholesky_ex(matrix)
+    good = (failed == 0) & matrix.isfinite().flatten(1).all(1) & right.isfinite().flatten(1).all(1)
+    eye = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+    factor = torch.where(good[:, None, None], factor, eye)
+    solved = torch.cholesky_solve(torch.where(good[:, None, None], right, 0.0), factor)
+    length = (right * solved).sum((1, 2)).clamp(min=0.0).sqrt()
+    return solved[..., 0] * scale, torch.where(good, length, torch.inf)
+
+
+def _is_finite(equations: NormalEquations) -> Tensor:
+    parts = (equations.cost[:, None], equations.information, equations.gradient)
+    return torch.stack([part.isfinite().flatten(1).all(1) for part in parts]).all(0)
+
+
+def _broadcast(mask: Tensor, like: Tensor) -> Tensor:
+    return mask.view(-1, *[1] * (like.ndim - 1))
