@@ -119,9 +119,7 @@ def job(names: tuple[str, ...]) -> Job:
     )
     frames = tuple(
         Frame(
-            image=RangeImage(
-                name=name, file=f"depth/{name}.png", range=blank, usable=blank.bool()
-            ),
+            image=RangeImage(name=name, file=f"depth/{name}.png", range=blank, usable=blank.bool()),
             joints=None,
             T_world_sensor=eye,
         )

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchcal.geometry import se3
 from torchcal.model.job import WORLD_LINK, Job
-from torchcal.model.scene import Scene
+from torchcal.model.scene import Scene, body_poses
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -40,7 +40,6 @@ class Parameters:
     def of(job: Job, scene: Scene) -> "Parameters":
         """The parameters that the job declares unknown."""
         names, sigmas, columns = _free_axes(job)
-        links = _link_poses(job)
         base = job.T_world_base if job.robot else _frame_pose(job, 0)
         return Parameters(
             names=names,
@@ -48,8 +47,8 @@ class Parameters:
             columns=columns,
             nominal=torch.stack([base, job.T_link_sensor]),
             standing=job.link == WORLD_LINK,
-            Ts_base_carrier=_carriers(job, links),
-            Ts_anchor_body=_anchored_bodies(job, scene, links),
+            Ts_base_carrier=_carriers(job),
+            Ts_anchor_body=_anchored_bodies(job, scene),
             on_robot=torch.tensor(
                 [body.link is not None for body in scene.bodies], device=base.device
             ),
@@ -120,8 +119,7 @@ class Parameters:
 def _free_axes(job: Job) -> tuple[tuple[str, ...], Tensor, Tensor]:
     names, sigmas, columns = [], [], []
     eye = torch.eye(12, dtype=job.T_world_base.dtype, device=job.T_world_base.device)
-    base_name = "base" if job.robot else "sensor"
-    for offset, name, prior in ((0, base_name, job.base), (6, "mount", job.mount)):
+    for offset, name, prior in ((0, "base", job.base), (6, "mount", job.mount)):
         for i, axis in enumerate(AXES):
             if prior is not None and prior.sigma[i] > 0:
                 names.append(f"{name}.{axis}")
@@ -138,31 +136,24 @@ def _frame_pose(job: Job, index: int) -> Tensor:
     return T
 
 
-def _link_poses(job: Job) -> Tensor | None:
-    """T_base_link of all links, frame by frame."""
+def _joints(job: Job) -> Tensor:
+    return torch.stack([frame.joints for frame in job.frames if frame.joints is not None])
+
+
+def _carriers(job: Job) -> Tensor:
+    """Poses in the base of what carries the sensor, frame by frame."""
     if job.robot is None:
-        return None
-    joints = torch.stack([frame.joints for frame in job.frames if frame.joints is not None])
-    return job.robot.forward_kinematics(joints)
-
-
-def _carriers(job: Job, links: Tensor | None) -> Tensor:
-    if job.robot is None or links is None:
         first = se3.inverse(_frame_pose(job, 0))
         return torch.stack([first @ _frame_pose(job, k) for k in range(len(job.frames))])
-    if job.link == WORLD_LINK:
-        return torch.eye(4).to(links).expand(len(job.frames), 4, 4)
-    assert job.link is not None, "a robot's sensor has a link"
+    if job.link is None or job.link == WORLD_LINK:
+        return torch.eye(4).to(job.T_world_base).expand(len(job.frames), 4, 4)
+    links = job.robot.forward_kinematics(_joints(job))
     return links[:, job.robot.link_index(job.link)]
 
 
-def _anchored_bodies(job: Job, scene: Scene, links: Tensor | None) -> Tensor:
-    poses = []
-    objects = {} if job.world is None else {o.name: o.T_world_object for o in job.world.objects}
-    for body in scene.bodies:
-        if body.link is None:
-            poses.append(objects[body.name].to(job.T_world_base).expand(len(job.frames), 4, 4))
-        else:
-            assert job.robot is not None and links is not None, "only a robot has links"
-            poses.append(links[:, job.robot.link_index(body.link)])
-    return torch.stack(poses, 1)
+def _anchored_bodies(job: Job, scene: Scene) -> Tensor:
+    """Poses of the bodies in the world, or in the base of the robot that they belong to."""
+    origin = torch.eye(4).to(job.T_world_base)
+    joints = None if job.robot is None else _joints(job)
+    poses = body_poses(scene, job.world, job.robot, origin, joints)
+    return poses.expand(len(job.frames), -1, 4, 4)

@@ -126,10 +126,10 @@ def _room() -> tuple[CellObject, ...]:
     """Floor, three plain walls, and one with a closed door in its frame."""
     east_west, north_south = (0.2, 7.2, WALL_HEIGHT), (7.4, 0.2, WALL_HEIGHT)
     return (
-        _object("floor", [_box((7.8, 7.2, 0.1), (0, 0, -0.1))], at=(0.5, 0.0), colour=GREY),
-        _object("wall_east", [_box(east_west, (0, 0, 0))], at=(4.3, 0.0), colour=WHITE),
-        _object("wall_west", [_box(east_west, (0, 0, 0))], at=(-3.3, 0.0), colour=WHITE),
-        _object("wall_south", [_box(north_south, (0, 0, 0))], at=(0.5, -3.5), colour=WHITE),
+        _object("floor", [_box((7.8, 7.2, 0.1), (0.0, 0.0, -0.1))], at=(0.5, 0.0), colour=GREY),
+        _object("wall_east", [_box(east_west, (0.0, 0.0, 0.0))], at=(4.3, 0.0), colour=WHITE),
+        _object("wall_west", [_box(east_west, (0.0, 0.0, 0.0))], at=(-3.3, 0.0), colour=WHITE),
+        _object("wall_south", [_box(north_south, (0.0, 0.0, 0.0))], at=(0.5, -3.5), colour=WHITE),
         _object("wall_north", _wall_with_opening(), at=(0.5, 3.5), colour=WHITE),
         _object("door_frame", _door_frame(), at=(-1.2, 3.4), colour=DARK),
         _object("door", _door(), at=(-1.2, 3.5), colour=GREEN),
@@ -139,39 +139,39 @@ def _room() -> tuple[CellObject, ...]:
 def _wall_with_opening() -> list[trimesh.Trimesh]:
     """From x = -3.7 to 3.7, open from -2.2 to -1.2 up to 2.1 m."""
     return [
-        _box((1.5, 0.2, WALL_HEIGHT), (-2.95, 0, 0)),
-        _box((4.9, 0.2, WALL_HEIGHT), (1.25, 0, 0)),
-        _box((1.0, 0.2, WALL_HEIGHT - 2.1), (-1.7, 0, 2.1)),
+        _box((1.5, 0.2, WALL_HEIGHT), (-2.95, 0.0, 0.0)),
+        _box((4.9, 0.2, WALL_HEIGHT), (1.25, 0.0, 0.0)),
+        _box((1.0, 0.2, WALL_HEIGHT - 2.1), (-1.7, 0.0, 2.1)),
     ]
 
 
 def _door_frame() -> list[trimesh.Trimesh]:
     return [
-        _box((0.1, 0.12, 2.2), (-0.5, 0, 0)),
-        _box((0.1, 0.12, 2.2), (0.5, 0, 0)),
-        _box((0.9, 0.12, 0.1), (0, 0, 2.1)),
+        _box((0.1, 0.12, 2.2), (-0.5, 0.0, 0.0)),
+        _box((0.1, 0.12, 2.2), (0.5, 0.0, 0.0)),
+        _box((0.9, 0.12, 0.1), (0.0, 0.0, 2.1)),
     ]
 
 
 def _door() -> list[trimesh.Trimesh]:
-    return [_box((1.0, 0.05, 2.1), (0, 0, 0)), _box((0.14, 0.1, 0.04), (0.32, -0.06, 1.0))]
+    return [_box((1.0, 0.05, 2.1), (0.0, 0.0, 0.0)), _box((0.14, 0.1, 0.04), (0.32, -0.06, 1.0))]
 
 
 def _pedestal() -> list[trimesh.Trimesh]:
     return [
-        _box((0.5, 0.5, 0.04), (0, 0, 0)),
-        _box((0.26, 0.26, PEDESTAL_HEIGHT - 0.08), (0, 0, 0.04)),
-        _box((0.34, 0.34, 0.04), (0, 0, PEDESTAL_HEIGHT - 0.04)),
+        _box((0.5, 0.5, 0.04), (0.0, 0.0, 0.0)),
+        _box((0.26, 0.26, PEDESTAL_HEIGHT - 0.08), (0.0, 0.0, 0.04)),
+        _box((0.34, 0.34, 0.04), (0.0, 0.0, PEDESTAL_HEIGHT - 0.04)),
     ]
 
 
 def _workbench() -> list[trimesh.Trimesh]:
-    legs = [_box((0.08, 0.08, 0.84), (x, y, 0)) for x in (-0.9, 0.9) for y in (-0.3, 0.3)]
+    legs = [_box((0.08, 0.08, 0.84), (x, y, 0.0)) for x in (-0.9, 0.9) for y in (-0.3, 0.3)]
     return [
         *legs,
-        _box((2.0, 0.75, 0.06), (0, 0, 0.84)),
-        _box((1.7, 0.5, 0.04), (0, 0.05, 0.3)),
-        _box((2.0, 0.05, 0.6), (0, 0.35, 0.9)),
+        _box((2.0, 0.75, 0.06), (0.0, 0.0, 0.84)),
+        _box((1.7, 0.5, 0.04), (0.0, 0.05, 0.3)),
+        _box((2.0, 0.05, 0.6), (0.0, 0.35, 0.9)),
         _box((0.5, 0.25, 0.2), (0.5, 0.18, 0.9)),
         _box((0.3, 0.2, 0.3), (0.2, 0.1, 0.34)),
     ]
@@ -179,17 +179,17 @@ def _workbench() -> list[trimesh.Trimesh]:
 
 def _vise() -> list[trimesh.Trimesh]:
     return [
-        _box((0.16, 0.3, 0.06), (0, 0, 0)),
-        _box((0.18, 0.06, 0.14), (0, -0.1, 0.06)),
-        _box((0.18, 0.06, 0.14), (0, 0.06, 0.06)),
+        _box((0.16, 0.3, 0.06), (0.0, 0.0, 0.0)),
+        _box((0.18, 0.06, 0.14), (0.0, -0.1, 0.06)),
+        _box((0.18, 0.06, 0.14), (0.0, 0.06, 0.06)),
     ]
 
 
 def _cabinet() -> list[trimesh.Trimesh]:
     """Its doors face -y."""
     return [
-        _box((1.2, 0.5, 1.9), (0, 0.05, 0.08)),
-        _box((1.1, 0.4, 0.08), (0, 0.05, 0)),
+        _box((1.2, 0.5, 1.9), (0.0, 0.05, 0.08)),
+        _box((1.1, 0.4, 0.08), (0.0, 0.05, 0.0)),
         _box((0.56, 0.03, 1.76), (-0.295, -0.215, 0.15)),
         _box((0.56, 0.03, 1.76), (0.295, -0.215, 0.15)),
         _box((0.04, 0.05, 0.2), (-0.06, -0.255, 0.95)),
@@ -200,10 +200,10 @@ def _cabinet() -> list[trimesh.Trimesh]:
 def _machine() -> list[trimesh.Trimesh]:
     """A machining centre; its spindle faces +y, seen from the robot after the turn."""
     return [
-        _box((2.0, 1.1, 0.45), (0, 0, 0)),
-        _box((0.7, 0.5, 1.45), (0, -0.3, 0.45)),
-        _box((0.5, 0.75, 0.5), (0, 0.05, 1.25)),
-        _tube(0.1, (0, 0.3, 1.25), (0, 0.3, 1.0)),
+        _box((2.0, 1.1, 0.45), (0.0, 0.0, 0.0)),
+        _box((0.7, 0.5, 1.45), (0.0, -0.3, 0.45)),
+        _box((0.5, 0.75, 0.5), (0.0, 0.05, 1.25)),
+        _tube(0.1, (0.0, 0.3, 1.25), (0.0, 0.3, 1.0)),
         _box((1.2, 0.45, 0.16), (0.1, 0.28, 0.45)),
         _box((0.3, 0.25, 0.18), (-0.2, 0.3, 0.61)),
         _box((0.4, 0.5, 1.2), (-0.8, -0.25, 0.45)),
@@ -213,53 +213,57 @@ def _machine() -> list[trimesh.Trimesh]:
 
 def _control_panel() -> list[trimesh.Trimesh]:
     return [
-        _box((0.4, 0.3, 0.05), (0, 0, 0)),
-        _box((0.1, 0.1, 0.95), (0, 0, 0.05)),
-        _box((0.5, 0.18, 0.45), (0, 0, 1.0)),
+        _box((0.4, 0.3, 0.05), (0.0, 0.0, 0.0)),
+        _box((0.1, 0.1, 0.95), (0.0, 0.0, 0.05)),
+        _box((0.5, 0.18, 0.45), (0.0, 0.0, 1.0)),
     ]
 
 
 def _conveyor() -> list[trimesh.Trimesh]:
-    legs = [_box((0.1, 0.08, 0.6), (x, y, 0)) for x in (-1.1, 0.0, 1.1) for y in (-0.3, 0.3)]
-    rails = [_box((2.6, 0.06, 0.16), (0, y, 0.6)) for y in (-0.33, 0.33)]
-    belt = _box((2.6, 0.6, 0.06), (0, 0, 0.66))
-    return [*legs, *rails, belt, _box((0.45, 0.35, 0.3), (0.5, 0, 0.72))]
+    legs = [_box((0.1, 0.08, 0.6), (x, y, 0.0)) for x in (-1.1, 0.0, 1.1) for y in (-0.3, 0.3)]
+    rails = [_box((2.6, 0.06, 0.16), (0.0, y, 0.6)) for y in (-0.33, 0.33)]
+    belt = _box((2.6, 0.6, 0.06), (0.0, 0.0, 0.66))
+    return [*legs, *rails, belt, _box((0.45, 0.35, 0.3), (0.5, 0.0, 0.72))]
 
 
 def _pipes() -> list[trimesh.Trimesh]:
     """A header along the east wall and risers down to the floor."""
     return [
-        _tube(0.09, (0, -2.6, 2.35), (0, 2.6, 2.35)),
-        _tube(0.09, (0, -2.6, 0.0), (0, -2.6, 2.35)),
-        _tube(0.06, (0, 1.3, 0.0), (0, 1.3, 2.35)),
-        _tube(0.06, (0, 1.6, 0.0), (0, 1.6, 2.35)),
+        _tube(0.09, (0.0, -2.6, 2.35), (0.0, 2.6, 2.35)),
+        _tube(0.09, (0.0, -2.6, 0.0), (0.0, -2.6, 2.35)),
+        _tube(0.06, (0.0, 1.3, 0.0), (0.0, 1.3, 2.35)),
+        _tube(0.06, (0.0, 1.6, 0.0), (0.0, 1.6, 2.35)),
         _box((0.2, 0.6, 0.12), (-0.02, 1.45, 1.2)),
     ]
 
 
 def _tank() -> list[trimesh.Trimesh]:
-    legs = [_box((0.07, 0.07, 0.35), (x, y, 0)) for x in (-0.22, 0.22) for y in (-0.22, 0.22)]
-    return [*legs, _tube(0.38, (0, 0, 0.35), (0, 0, 1.5)), _tube(0.12, (0, 0, 1.5), (0, 0, 1.7))]
+    legs = [_box((0.07, 0.07, 0.35), (x, y, 0.0)) for x in (-0.22, 0.22) for y in (-0.22, 0.22)]
+    return [
+        *legs,
+        _tube(0.38, (0.0, 0.0, 0.35), (0.0, 0.0, 1.5)),
+        _tube(0.12, (0.0, 0.0, 1.5), (0.0, 0.0, 1.7)),
+    ]
 
 
 def _pillar() -> list[trimesh.Trimesh]:
     return [
-        _box((0.35, 0.35, 0.05), (0, 0, 0)),
-        _box((0.18, 0.18, WALL_HEIGHT - 0.05), (0, 0, 0.05)),
+        _box((0.35, 0.35, 0.05), (0.0, 0.0, 0.0)),
+        _box((0.18, 0.18, WALL_HEIGHT - 0.05), (0.0, 0.0, 0.05)),
     ]
 
 
 def _crate() -> list[trimesh.Trimesh]:
     return [
-        _box((0.56, 0.36, 0.34), (0, 0, 0.04)),
-        _box((0.6, 0.4, 0.04), (0, 0, 0)),
-        _box((0.6, 0.4, 0.04), (0, 0, 0.38)),
+        _box((0.56, 0.36, 0.34), (0.0, 0.0, 0.04)),
+        _box((0.6, 0.4, 0.04), (0.0, 0.0, 0.0)),
+        _box((0.6, 0.4, 0.04), (0.0, 0.0, 0.38)),
     ]
 
 
 def _drum() -> list[trimesh.Trimesh]:
     return [
-        _tube(0.2, (0, 0, 0), (0, 0, 0.5)),
-        _tube(0.215, (0, 0, 0.15), (0, 0, 0.18)),
-        _tube(0.215, (0, 0, 0.32), (0, 0, 0.35)),
+        _tube(0.2, (0.0, 0.0, 0.0), (0.0, 0.0, 0.5)),
+        _tube(0.215, (0.0, 0.0, 0.15), (0.0, 0.0, 0.18)),
+        _tube(0.215, (0.0, 0.0, 0.32), (0.0, 0.0, 0.35)),
     ]

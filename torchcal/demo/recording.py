@@ -90,7 +90,7 @@ def make_demo(
     shutil.copytree(robot_folder("arm"), folder / "arm", dirs_exist_ok=True)
     cell.as_scene(cell.modelled_objects()).export(folder / "cell.glb")
     (folder / "job.toml").write_text(_job_text(), encoding="utf-8")
-    T_world_base = nominal_T_world_base() @ se3.exp(torch.from_numpy(_base_error(rng)))
+    T_world_base = nominal_T_world_base() @ se3.exp(torch.from_numpy(base_error(rng)))
     robot = load_robot(folder / "arm" / "arm.urdf")
     for index, posture in enumerate(POSTURES):
         report(f"recording frame {index + 1} of {len(POSTURES)}", index / len(POSTURES))
@@ -111,6 +111,14 @@ def nominal_T_world_base() -> Float[Tensor, "4 4"]:
     return se3.from_xyz_rpy(
         torch.tensor([0.0, 0.0, cell.PEDESTAL_HEIGHT], dtype=torch.float64),
         torch.zeros(3, dtype=torch.float64),
+    )
+
+
+def base_error(rng: np.random.Generator) -> Float[ndarray, " 6"]:
+    """How far the robot stands off: a twist of 30 to 60 mm and 2 to 3 degrees, in any direction."""
+    along, about = (_direction(rng) for _ in range(2))
+    return np.concatenate(
+        [rng.uniform(0.03, 0.06) * along, np.radians(rng.uniform(2.0, 3.0)) * about]
     )
 
 
@@ -137,14 +145,6 @@ def _record(
     view = view_of(cell.real_objects(), robot, T_world_base, posture)
     predicted = raycast.predict(view, SENSOR.projection, SENSOR.beam)
     return raycast.measure(predicted, SENSOR, rng)
-
-
-def _base_error(rng: np.random.Generator) -> Float[ndarray, " 6"]:
-    """A twist of 30 to 60 mm and 2 to 3 degrees in any direction."""
-    along, about = (_direction(rng) for _ in range(2))
-    return np.concatenate(
-        [rng.uniform(0.03, 0.06) * along, np.radians(rng.uniform(2.0, 3.0)) * about]
-    )
 
 
 def _direction(rng: np.random.Generator) -> Float[ndarray, " 3"]:

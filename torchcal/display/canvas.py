@@ -82,7 +82,7 @@ def show(axes: Axes, image: np.ndarray) -> None:
 def colour_bar(
     figure: Figure, box: Box, colours: Colormap, limits: tuple[float, float], title: str
 ) -> Colorbar:
-    """A vertical scale in a box, with a title above it; values beyond its ends keep the end's colour."""
+    """A vertical scale that fills a box, with a title above it."""
     axes = axes_at(figure, box)
     axes.set_axis_on()
     mappable = ScalarMappable(Normalize(*limits), colours)

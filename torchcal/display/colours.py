@@ -8,7 +8,7 @@ from matplotlib.colors import to_rgb
 from torchcal.calibrate.result import PixelClass
 
 RANGE_MAP = matplotlib.colormaps["viridis"]
-"""Near is dark blue, far is yellow; it has no greys, which are what most models are painted with."""
+"""Near is dark blue, far is yellow; it has no greys, the colours of most models."""
 
 DIFFERENCE_MAP = matplotlib.colormaps["RdBu"]
 """Red where the measurement is nearer than the model, blue where it is farther."""

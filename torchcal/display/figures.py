@@ -1,4 +1,4 @@
-"""Figures that a stranger understands: titles, units and legends on the hybrid view and the comparison."""
+"""Figures that a stranger understands: the hybrid view, the comparison, a range image."""
 
 import numpy as np
 from jaxtyping import Float
@@ -23,8 +23,8 @@ from torchcal.display.colours import (
 from torchcal.display.hybrid import MEASURED_CLASSES, hybrid_image, hybrid_limits
 
 MARGIN = 20
-HEADER = 76
-BAR = 96
+HEADER = 96
+BAR = 112
 """Room for a colour bar and its numbers."""
 LEGEND_LINE = 26
 
@@ -86,7 +86,7 @@ def comparison_figure(comparison: FrameComparison, alpha: float) -> Figure:
     width, height = canvas.displayed_size((label.shape[0], label.shape[1]), 480)
     across, down = width + BAR + MARGIN, height + 64
     boxes = [
-        Box(left=MARGIN + column * across, top=HEADER + 40 + row * down, width=width, height=height)
+        Box(left=MARGIN + column * across, top=HEADER + 20 + row * down, width=width, height=height)
         for row in range(2)
         for column in range(2)
     ]
@@ -95,7 +95,8 @@ def comparison_figure(comparison: FrameComparison, alpha: float) -> Figure:
     _headline(
         figure,
         f"Frame {comparison.name}: measurement against model",
-        f"The model is trusted where they differ by less than {alpha:g} standard deviations.",
+        f"The model is trusted where they differ by less than {alpha:g} standard deviations σ′. "
+        "Dark: nothing there.",
     )
     _range_panels(figure, boxes[0], boxes[1], comparison)
     _difference_panel(figure, boxes[2], comparison, alpha)

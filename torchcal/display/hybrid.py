@@ -1,7 +1,7 @@
 """The hybrid view (2.3): the model where it can be trusted, the measurement where it cannot.
 
-One picture for the operator. Grey and coloured surfaces are the model, shaded; surfaces in the colours
-of the range scale are measured; an outline says where the one turns into the other, and why.
+One picture for the operator. Shaded surfaces are the model; surfaces in the colours of the range
+scale are measured; an outline says where the one turns into the other, and why.
 """
 
 import numpy as np
@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.colors import to_rgb
 from scipy import ndimage
 
+from torchcal.calibrate.regions import numbered
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.display.arrays import as_array
 from torchcal.display.colours import CLASS_COLOURS, NEUTRAL, range_colours, range_limits
@@ -75,8 +76,8 @@ def _outlined(
 
 def _rim(inside: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The outermost pixels of every region that is larger than a speckle."""
-    regions, count = ndimage.label(inside)
-    sizes = ndimage.sum_labels(inside, regions, np.arange(count + 1))
-    large = inside & (sizes >= max(12.0, SPECKLE * inside.size))[regions]
-    width = max(1, min(inside.shape) // 300)
-    return large & ~ndimage.binary_erosion(inside, iterations=width, border_value=1)
+    region = numbered(inside)
+    large = np.bincount(region.ravel())[region] >= max(12.0, SPECKLE * inside.size)
+    width = max(1, min(inside.shape) // 240)
+    core = ndimage.binary_erosion(inside, iterations=width, border_value=1)
+    return inside & large & np.logical_not(core)

@@ -81,7 +81,9 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
             for other in estimate.alternatives
         ],
         frames=_sections(calibration, pictures),
-        classes=[(each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each]) for each in SHOWN_AS],
+        classes=[
+            (each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each]) for each in SHOWN_AS
+        ],
         added=[(item, _centre(item), _extent(item)) for item in calibration.update.added],
         settings=settings(calibration.job),
         most_pictures=MOST_PICTURES,
@@ -94,9 +96,7 @@ def agreement(counts: dict[PixelClass, int]) -> float:
     return counts[PixelClass.AGREES] / max(1, compared)
 
 
-def _sections(
-    calibration: Calibration, pictures: Sequence[FramePictures]
-) -> list[FrameSection]:
+def _sections(calibration: Calibration, pictures: Sequence[FramePictures]) -> list[FrameSection]:
     """Every frame; pictures of those that agree least."""
     counts = [class_counts(comparison) for comparison in calibration.comparisons]
     worst = sorted(range(len(counts)), key=lambda index: agreement(counts[index]))

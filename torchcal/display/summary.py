@@ -1,4 +1,4 @@
-"""The answer as rows that a person reads: corrections, uncertainties and the settings of the job."""
+"""The answer as rows that a person reads: corrections, how sure they are, settings of the job."""
 
 import math
 from dataclasses import dataclass

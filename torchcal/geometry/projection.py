@@ -6,7 +6,7 @@ distance along the ray.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -46,6 +46,10 @@ class Projection(Protocol):
 
     def resized(self, factor: int) -> "Projection":
         """The same optics with pixels that each cover ``factor`` x ``factor`` of these."""
+        ...
+
+    def widened(self, margin: int) -> "Projection":
+        """The same optics with up to ``margin`` more pixels on each side."""
         ...
 
 
@@ -96,6 +100,16 @@ class Pinhole:
             fy=self.fy / factor,
             cx=(self.cx - shift) / factor,
             cy=(self.cy - shift) / factor,
+        )
+
+    def widened(self, margin: int) -> "Pinhole":
+        """The same optics with ``margin`` more pixels on each side."""
+        return replace(
+            self,
+            width=self.width + 2 * margin,
+            height=self.height + 2 * margin,
+            cx=self.cx + margin,
+            cy=self.cy + margin,
         )
 
 
@@ -167,6 +181,20 @@ class Spherical:
             height=height,
             azimuth=(az0, az0 + (width - 1) * factor * self.azimuth_step),
             elevation=(el0, el0 + (height - 1) * factor * self.elevation_step),
+        )
+
+    def widened(self, margin: int) -> "Spherical":
+        """The same optics with up to ``margin`` more pixels on each side, at most the whole sphere."""
+        turn = (2 * math.pi / abs(self.azimuth_step) - self.width) / 2
+        poles = (math.pi / 2 - max(map(abs, self.elevation))) / abs(self.elevation_step)
+        sides = max(0, min(margin, int(turn)))
+        ends = max(0, min(margin, int(poles)))
+        across, up = sides * self.azimuth_step, ends * self.elevation_step
+        return Spherical(
+            width=self.width + 2 * sides,
+            height=self.height + 2 * ends,
+            azimuth=(self.azimuth[0] - across, self.azimuth[1] + across),
+            elevation=(self.elevation[0] - up, self.elevation[1] + up),
         )
 
 

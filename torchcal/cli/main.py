@@ -1,0 +1,46 @@
+"""``torchcal``: the command line and what its exit status says.
+
+0: the answer can be used. 2: the job cannot be read or the command was mistyped. 3: the job was
+read, the answer cannot be used, and the results say why. 130: interrupted.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from rich.console import Console
+
+from torchcal.cli import commands
+from torchcal.cli.options import Calibrate, Check, Command, Demo, Render, parse
+from torchcal.errors import TorchcalError
+
+UNREADABLE = 2
+INTERRUPTED = 130
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command and returns its exit status; mistakes become one line on standard error.
+
+    Raises:
+        SystemExit: For ``--help`` and for what the command line does not know.
+    """
+    command = parse(arguments)
+    out, err = Console(), Console(stderr=True)
+    try:
+        return _runner(command)(command, out, err)
+    except (TorchcalError, OSError) as error:
+        words = " ".join(str(error).split())
+        err.print(f"error: {words}", markup=False, highlight=False, soft_wrap=True)
+        return UNREADABLE
+    except KeyboardInterrupt:
+        err.print("interrupted: nothing was written", markup=False)
+        return INTERRUPTED
+
+
+def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
+    """What carries out a command."""
+    return {
+        Calibrate: commands.run_calibrate,
+        Render: commands.run_render,
+        Check: commands.run_check,
+        Demo: commands.run_demo,
+    }[type(command)]

@@ -1,0 +1,95 @@
+"""The commands and their options, as data; tyro makes the command line of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+JobFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="JOB")]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Options:
+    """What every command takes."""
+
+    device: Annotated[
+        Literal["cpu", "cuda"] | None,
+        tyro.conf.arg(metavar="{cpu,cuda}", help_behavior_hint="(default: cuda if there is one)"),
+    ] = None
+    """Where to compute."""
+    seed: int = 0
+    """Of all random numbers: the same seed gives the same answer."""
+    json: Flag = False
+    """Print the result as JSON on standard output, and nothing else there."""
+
+
+Shared = Annotated[Options, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Calibrate:
+    """Estimate what is wrong, compare every pixel, propose the corrected model."""
+
+    job: JobFile
+    """The job: a TOML file."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results; an earlier result there is replaced as a whole."""
+    estimate: Flag = True
+    """Compare at the nominal pose, with the uncertainty that the job states."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Render:
+    """Show what the model predicts at the nominal pose."""
+
+    job: JobFile
+    """The job: a TOML file."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for depth/*.npy and preview/*.png; an earlier one is replaced as a whole."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Check:
+    """Read everything, change nothing, say what can and cannot be found out."""
+
+    job: JobFile
+    """The job: a TOML file."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Demo:
+    """Make a robot, a cell and a recording, calibrate it, compare with the truth."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("torchcal-demo")
+    """Folder for the job and its result; an earlier demo there is replaced as a whole."""
+    options: Shared = Options()
+
+
+Command = Calibrate | Render | Check | Demo
+
+COMMANDS: dict[str, type] = {
+    "calibrate": Calibrate,
+    "render": Render,
+    "check": Check,
+    "demo": Demo,
+}
+
+
+def parse(arguments: list[str] | None = None) -> Command:
+    """The command that a person typed.
+
+    Raises:
+        SystemExit: With 2 for a mistake, with 0 after ``--help``.
+    """
+    return tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
+        prog="torchcal",
+        description="Tells a robot where its model of the world is wrong, from range images.",
+        args=arguments,
+        sort_subcommands=False,
+    )

@@ -1,0 +1,212 @@
+"""What a calibration writes: the face that other programs read (``result.json`` and the rest)."""
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchcal.calibrate.result import (
+    AddedObject,
+    Calibration,
+    FrameComparison,
+    JobCheck,
+    PixelClass,
+    UnobservableDirection,
+)
+from torchcal.display import canvas, figures
+from torchcal.display.report import FramePictures, report
+from torchcal.display.summary import axis_sigmas
+from torchcal.model.urdf import write_urdf
+from torchcal.model.world import World, WorldObject, write_world
+
+
+def result_dict(calibration: Calibration) -> dict[str, Any]:
+    """The contents of ``result.json``: metres and radians; no NaN (None instead)."""
+    estimate, update = calibration.estimate, calibration.update
+    result = {
+        "status": estimate.status.value,
+        "message": estimate.message,
+        "parameters": _parameters(calibration),
+        "names": list(estimate.names),
+        "covariance": _numbers(estimate.covariance),
+        "unobservable": _directions(estimate.unobservable),
+        "alternatives": [
+            {"Ts_world_sensor": _numbers(other.Ts_world_sensor), "score": other.score}
+            for other in estimate.alternatives
+        ],
+        "frames": [_frame(calibration, index) for index in range(len(calibration.comparisons))],
+        "objects": {name: asdict(verdict) for name, verdict in update.verdicts.items()},
+        "added": [_added(item) for item in update.added],
+        "timing": calibration.timing,
+    }
+    return without_nan(result)
+
+
+def check_dict(check: JobCheck) -> dict[str, Any]:
+    """A check as plain data: metres and radians; no NaN (None instead)."""
+    return without_nan(
+        {
+            "frames": [asdict(frame) for frame in check.frames],
+            "parameters": [asdict(parameter) for parameter in check.parameters],
+            "unobservable": _directions(check.unobservable),
+            "warnings": list(check.warnings),
+        }
+    )
+
+
+def as_json(data: dict[str, Any]) -> str:
+    """Strict JSON with every number to its last digit."""
+    return json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def without_nan(data: Any) -> Any:
+    """The same nested data with None for every number that is not finite; tuples become lists."""
+    if isinstance(data, dict):
+        return {key: without_nan(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [without_nan(value) for value in data]
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    return data
+
+
+def write_results(calibration: Calibration, folder: Path) -> None:
+    """Writes everything that a calibration leaves behind into an existing folder."""
+    pictures = list(_write_pictures(calibration, folder))
+    _write_robot(calibration, folder)
+    _write_world(calibration, folder)
+    (folder / "report.html").write_text(report(calibration, pictures), encoding="utf-8")
+    text = as_json(result_dict(calibration))
+    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """The names, with a number after each that came before (letter case does not count)."""
+    taken: set[str] = set()
+    unique = []
+    for name in names:
+        candidate, count = name, 1
+        while candidate.casefold() in taken:
+            count += 1
+            candidate = f"{name}-{count}"
+        taken.add(candidate.casefold())
+        unique.append(candidate)
+    return unique
+
+
+def corrected_world(calibration: Calibration) -> World | None:
+    """The objects that were not removed and those that were added; None if that leaves nothing."""
+    old, update = calibration.job.world, calibration.update
+    gone = {name for name, verdict in update.verdicts.items() if verdict.verdict == "removed"}
+    kept = [item for item in (old.objects if old else ()) if item.name not in gone]
+    names = unique_names([*(item.name for item in kept), *(item.name for item in update.added)])
+    eye = torch.eye(4, dtype=torch.float64)
+    added = [
+        WorldObject(name=name, mesh=item.mesh, T_world_object=eye)
+        for name, item in zip(names[len(kept) :], update.added, strict=True)
+    ]
+    objects = (*kept, *added)
+    return World(objects=objects, complete=old is not None and old.complete) if objects else None
+
+
+def _parameters(calibration: Calibration) -> dict[str, Any]:
+    """The estimated poses; blocks that this version does not estimate are empty."""
+    job, estimate = calibration.job, calibration.estimate
+    poses: dict[str, Any] = {}
+    if job.robot is None:
+        sigmas = _pose_sigmas(estimate.pose_covariances[0])
+        first = estimate.Ts_world_sensor[0]
+        poses["sensor"] = {"T_world_sensor": _numbers(first), **sigmas}
+    else:
+        for group, key, T in (
+            ("base", "T_world_base", estimate.T_world_base),
+            ("mount", "T_link_sensor", estimate.T_link_sensor),
+        ):
+            sigmas = _split(axis_sigmas(estimate.names, estimate.covariance, group))
+            poses[group] = {key: _numbers(T), **sigmas}
+    return poses | {"joints": {}, "objects": {}, "range": {}}
+
+
+def _directions(directions: Sequence[UnobservableDirection]) -> list[dict[str, Any]]:
+    return [{"words": each.words, "vector": _numbers(each.vector)} for each in directions]
+
+
+def _frame(calibration: Calibration, index: int) -> dict[str, Any]:
+    """One entry of ``frames``."""
+    estimate, comparison = calibration.estimate, calibration.comparisons[index]
+    counts = figures.class_counts(comparison)
+    return {
+        "depth": calibration.job.frames[index].image.file,
+        "T_world_sensor": _numbers(estimate.Ts_world_sensor[index]),
+        **_pose_sigmas(estimate.pose_covariances[index]),
+        "measured": int((comparison.measured.isfinite() & comparison.usable).sum()),
+        "agree": counts[PixelClass.AGREES],
+        "nearer": counts[PixelClass.NEARER],
+        "farther": counts[PixelClass.FARTHER],
+        "unmodelled": counts[PixelClass.UNMODELLED],
+        "missing": counts[PixelClass.MISSING],
+    }
+
+
+def _added(item: AddedObject) -> dict[str, Any]:
+    """One entry of ``added``."""
+    return {
+        "name": item.name,
+        "frames": list(item.frames),
+        "extent_m": item.mesh.extents.tolist(),
+        "bounds_m": item.mesh.bounds.tolist(),
+    }
+
+
+def _pose_sigmas(covariance: Tensor) -> dict[str, list[float]]:
+    return _split(covariance.diagonal().clamp(min=0.0).sqrt().tolist())
+
+
+def _split(sigmas: list[float]) -> dict[str, list[float]]:
+    return {"position_sigma_m": sigmas[:3], "rotation_sigma_rad": sigmas[3:]}
+
+
+def _numbers(tensor: Tensor) -> Any:
+    return tensor.detach().cpu().double().tolist()
+
+
+def _write_pictures(calibration: Calibration, folder: Path) -> Iterator[FramePictures]:
+    """Draws and writes the figures of every frame."""
+    for part in ("hybrid", "comparison"):
+        (folder / part).mkdir()
+    names = unique_names([comparison.name for comparison in calibration.comparisons])
+    for name, comparison in zip(names, calibration.comparisons, strict=True):
+        pictures = _pictures(comparison, calibration.job.alpha)
+        pictures.hybrid.save(folder / "hybrid" / f"{name}.png")
+        pictures.comparison.save(folder / "comparison" / f"{name}.png")
+        yield pictures
+
+
+def _pictures(comparison: FrameComparison, alpha: float) -> FramePictures:
+    return FramePictures(
+        hybrid=canvas.pixels(figures.hybrid_figure(comparison)),
+        comparison=canvas.pixels(figures.comparison_figure(comparison, alpha)),
+    )
+
+
+def _write_robot(calibration: Calibration, folder: Path) -> None:
+    job, estimate = calibration.job, calibration.estimate
+    if job.robot is not None and job.link is not None:
+        write_urdf(
+            job.robot,
+            folder / "robot.urdf",
+            T_world_base=estimate.T_world_base,
+            link=job.link,
+            T_link_sensor=estimate.T_link_sensor,
+        )
+
+
+def _write_world(calibration: Calibration, folder: Path) -> None:
+    world = corrected_world(calibration)
+    if world is not None:
+        write_world(world, folder / "world.glb")
