@@ -14,7 +14,7 @@ from torchcal.model.sensor import Drift
 from torchcal.render.synthesis import synthesise
 from torchcal.solve.field import SmoothField
 from torchcal.solve.gauss_newton import NormalEquations
-from torchcal.solve.image_equations import ImageEquations, image_equations
+from torchcal.solve.image_equations import RobustImage, normal_equations, robust_image
 
 FILLED = 0.75
 """Share of the beam that must meet the model before a pixel is compared."""
@@ -45,8 +45,8 @@ class RangeFit:
     """c of eq. 16, in standard deviations."""
     drift: Drift | None
     """The slowly varying part of the noise; its length in this resolution's pixels."""
-    inflation: float = 1.0
-    """How much larger the noise is than the sensor's sigma."""
+    sigma_scale: float = 1.0
+    """Independent noise over the sensor's sigma."""
 
     def evaluate(self, states: Float[Tensor, "batch 2 4 4"]) -> NormalEquations:
         """Normal equations of every state: all frames and the prior."""
@@ -74,7 +74,7 @@ class RangeFit:
         return FrameResidual(
             residual=residual,
             compared=compared,
-            sigma=observation.sigma[k] * self.inflation,
+            sigma=observation.sigma[k] * self.sigma_scale,
             jacobian=torch.where(compared[..., None], synthesis.jacobian, 0.0),
             missed=int((observation.measured[k] & ~compared).sum()),
         )
@@ -82,13 +82,14 @@ class RangeFit:
     def _evaluate_one(self, state: Tensor) -> NormalEquations:
         total = self._prior(state)
         for frame in self.residuals(state):
-            part = self.frame_equations(frame)
+            image = self.separate(frame)
+            information, gradient = normal_equations(image, frame.jacobian)
             # A pixel that the model leaves empty explains no more than one beyond the cut-off.
             missed = frame.missed * self.cutoff**2 / 6.0
             total = NormalEquations(
-                cost=total.cost + part.cost + missed,
-                information=total.information + part.information,
-                gradient=total.gradient + part.gradient,
+                cost=total.cost + image.cost + missed,
+                information=total.information + information,
+                gradient=total.gradient + gradient,
             )
         return total
 
@@ -102,23 +103,16 @@ class RangeFit:
             gradient=-precision * error,
         )
 
-    def frame_equations(self, frame: FrameResidual) -> ImageEquations:
-        """One frame's share of the normal equations."""
-        height, width = frame.residual.shape
+    def separate(self, frame: FrameResidual) -> RobustImage:
+        """One frame's residuals as slowly varying part, independent noise and outliers."""
         field = None
-        if self.drift is not None:
+        if self.drift is not None and self.drift.sigma > 0:
             field = SmoothField.of(
-                height,
-                width,
+                *frame.residual.shape,
                 sigma=self.drift.sigma,
                 pixels=self.drift.pixels,
                 like=frame.residual.double(),
             )
-        return image_equations(
-            frame.residual,
-            frame.jacobian,
-            frame.sigma,
-            frame.compared,
-            cutoff=self.cutoff,
-            field=field,
+        return robust_image(
+            frame.residual, frame.sigma, frame.compared, cutoff=self.cutoff, field=field
         )

@@ -163,42 +163,48 @@ def _soften(
     projection: Projection,
     motion: Tensor | None,
 ) -> _Layer:
-    """Moves the strips between the silhouettes and the pixels' borders to the right surface."""
-    strip = 0.5 - crossings.gap
-    rays, rays_step = _middles(crossings, projection)
-    near, far = crossings.near_face, crossings.far_face
-    lost = (far >= 0).to(strip) - 1.0
-    slope = facets.slopes(far, rays, rays_step) - facets.slopes(near, rays, rays_step)
-    # When the strip's end moves, its middle moves half as far.
-    moved = 0.5 * slope.detach() * (crossings.gap - crossings.gap.detach())
-    rise = facets.ranges(far, rays) - facets.ranges(near, rays) + moved
+    """Gives the strips beyond the silhouettes to the surfaces that are seen there.
 
-    rise_derivative = _along_motion(
-        facets.twist_derivatives(far, rays), far, surface, motion
-    ) - _along_motion(facets.twist_derivatives(near, rays), near, surface, motion)
+    In the row of a crossing the pixel's own face keeps the part from -1/2 to ``gap``, the other face
+    takes the strip from there to 1/2. Each part counts with the range in its middle: no plane is
+    extended to where it is not seen, so near-horizontal ones stay finite.
+    """
+    gap, gap_detached = crossings.gap, crossings.gap.detach()
+    kept_width, strip_width = 0.5 + gap, 0.5 - gap
+    kept = _middle(crossings.own_face, crossings, 0.5 * (gap - 0.5), facets, projection)
+    strip = _middle(crossings.other_face, crossings, 0.5 * (gap + 0.5), facets, projection)
+    index = crossings.pixel[:, 1] * projection.width + crossings.pixel[:, 0]
+    gained = (crossings.other_face >= 0).to(gap) - (crossings.own_face >= 0).to(gap)
+    total = kept_width * kept.range + strip_width * strip.range - layer.total.flatten()[index]
     gap_derivative = _chain(crossings.gap_derivative, crossings.body, motion)
+    to_gap = kept.range - strip.range + 0.5 * (kept_width * kept.slope + strip_width * strip.slope)
     total_derivative = (
-        strip[:, None] * rise_derivative
-        + (0.5 * strip * slope - rise)[:, None] * gap_derivative
-    )
-    # Where the strip lies in the far pixel, it is taken from the far surface: the sign is its own.
-    pixel = crossings.near_pixel + torch.where(strip[:, None] < 0, crossings.step, 0)
-    index = pixel[:, 1] * projection.width + pixel[:, 0]
+        kept_width[:, None] * _along_motion(kept.derivative, crossings.own_face, surface, motion)
+        + strip_width[:, None] * _along_motion(strip.derivative, crossings.other_face, surface, motion)
+        + to_gap[:, None] * gap_derivative
+    ).mT - layer.total_derivative.flatten(1)[:, index]
     return _Layer(
-        total=_add(layer.total, index, strip * rise),
-        area=_add(layer.area, index, strip * lost),
-        total_derivative=_add(layer.total_derivative, index, total_derivative.mT),
-        area_derivative=_add(layer.area_derivative, index, (-lost[:, None] * gap_derivative).mT),
+        total=_add(layer.total, index, total),
+        area=_add(layer.area, index, strip_width * gained),
+        total_derivative=_add(layer.total_derivative, index, total_derivative),
+        area_derivative=_add(layer.area_derivative, index, (-gained[:, None] * gap_derivative).mT),
     )
 
 
-def _middles(crossings: Crossings, projection: Projection) -> tuple[Tensor, Tensor]:
-    """Rays through the middles of the strips, and how they change along ``step``."""
-    middle = 0.5 * (crossings.gap.detach() + 0.5)
-    place = crossings.near_pixel + middle[:, None] * crossings.step
-    to_u, to_v = projection.ray_derivatives(place[:, 0], place[:, 1])
-    rays_step = to_u * crossings.step[:, :1] + to_v * crossings.step[:, 1:]
-    return projection.rays(place[:, 0], place[:, 1]), rays_step
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Middle:
+    range: Tensor
+    slope: Tensor
+    derivative: Tensor
+
+
+def _middle(face, crossings, offset, facets, projection):
+    place = crossings.pixel + offset.detach()[:, None] * crossings.step
+    u, v = place.unbind(-1)
+    rays = projection.rays(u, v)
+    to_u, to_v = projection.ray_derivatives(u, v)
+    slope = facets.slopes(face, rays, to_u * crossings.step[:, :1] + to_v * crossings.step[:, 1:]).detach()
+    return _Middle(range=facets.ranges(face, rays) + slope * (offset - offset.detach()), slope=slope, derivative=facets.twist_derivatives(face, rays))
 
 
 def _add(image: Tensor, index: Tensor, values: Tensor) -> Tensor:

@@ -8,13 +8,15 @@ normal equations small: only a matrix of the size of the grid is factorised.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 SPACING = 1.5**0.5
 """Grid spacing in correlation lengths: cubic B-splines then correlate with length L."""
 VARIANCE = (151.0 / 315.0) ** 2
 """Mean over a cell of the sum of squares of the two-dimensional cubic B-splines."""
+TOLD = 1e-6
+"""Share of the prior's precision below which the pixels tell nothing about a coefficient."""
 BAND = 3
 """Cubic B-splines overlap with three neighbours on each side."""
 
@@ -41,16 +43,36 @@ class SmoothField:
         """Phi^T x for each image."""
         return (self.rows.mT @ images @ self.columns).flatten(-2)
 
-    def expand(self, coefficients: Float[Tensor, " coefficient"]) -> Float[Tensor, "h w"]:
+    def expand(self, coefficients: Float[Tensor, "*batch coefficient"]) -> Float[Tensor, "*batch h w"]:
         """Phi a, the field (m)."""
-        grid = coefficients.view(self.rows.shape[1], self.columns.shape[1])
+        grid = coefficients.unflatten(-1, (self.rows.shape[1], self.columns.shape[1]))
         return self.rows @ grid @ self.columns.mT
 
-    def factorise(self, weight: Float[Tensor, "h w"]) -> Float[Tensor, "coefficient coefficient"]:
-        """Cholesky factor of Phi^T W Phi + prior."""
+    def system(self, weight: Float[Tensor, "h w"]) -> "FieldSystem":
+        """Phi^T W Phi + prior, factorised, for the coefficients that some pixel tells about."""
         matrix = _gram(self.rows, self.columns, weight)
+        told = torch.nonzero(matrix.diagonal() > TOLD * self.precision)[:, 0]
+        matrix = matrix[told[:, None], told]
         matrix.diagonal().add_(self.precision)
-        return torch.linalg.cholesky_ex(matrix)[0]
+        return FieldSystem(told=told, factor=torch.linalg.cholesky_ex(matrix)[0])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FieldSystem:
+    """The factorised normal equations of a field's coefficients."""
+
+    told: Int[Tensor, " told"]
+    """Coefficients that the pixels tell about; the others stay at their prior, 0."""
+    factor: Float[Tensor, "told told"]
+
+    def solve(
+        self, right: Float[Tensor, "*batch coefficient"]
+    ) -> Float[Tensor, "*batch coefficient"]:
+        """(Phi^T W Phi + prior)^-1 applied to each row."""
+        rows = right.reshape(-1, right.shape[-1])
+        solved = torch.zeros_like(rows)
+        solved[:, self.told] = torch.cholesky_solve(rows[:, self.told].mT, self.factor).mT
+        return solved.view(right.shape)
 
 
 def _splines(size: int, spacing: float, like: Tensor) -> Tensor:

@@ -53,8 +53,11 @@ class GaussNewtonConfig:
     """Most steps that are tried."""
     damping: float = 1e-4
     """First lambda of eq. 12, relative to the diagonal of the information."""
-    tolerance: float = 1e-3
+    tolerance: float = 1e-2
     """Stop when the step is shorter than this many of its own standard deviations."""
+    ripple: float = 0.0
+    """Share of the cost by which an accepted step may raise it: pixels and small faces put ripples
+    on the cost of an image that say nothing about where its minimum is."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,7 +98,8 @@ def minimise(
         step, length = _damped_step(current, damping)
         trial_state = retract(state, torch.where(active[:, None], step, torch.zeros_like(step)))
         trial = evaluate(trial_state)
-        accept = active & _is_finite(trial) & (trial.cost <= current.cost)
+        allowed = (1.0 + config.ripple) * current.cost
+        accept = active & _is_finite(trial) & (trial.cost <= allowed)
         state = torch.where(_broadcast(accept, state), trial_state, state)
         current = trial.where(accept, current)
         damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=1e-9)

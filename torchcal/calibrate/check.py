@@ -1,0 +1,103 @@
+"""What can be said of a job before anything is estimated."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.observability import unobservable_directions
+from torchcal.calibrate.observation import coarser, observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene, predict
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.refine import coarse_factor
+from torchcal.calibrate.result import FrameCheck, JobCheck, ParameterCheck
+from torchcal.model.job import Frame, Job
+from torchcal.model.scene import Scene
+from torchcal.solve.gauss_newton import covariance
+
+UNLIMITED = 1e9
+"""A cut-off that no residual reaches: at a wrong pose all pixels must count."""
+FEW = 0.05
+"""A smaller share of measured pixels, or of the model in them, is worth a warning."""
+UNITS = 3.0
+"""Ranges that differ from the model's by more than this factor look like a wrong unit."""
+
+
+def check(job: Job) -> JobCheck:
+    """What a job holds and what its images can tell of the unknowns, at the nominal pose."""
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    predictions = predict(job)
+    frames = tuple(
+        _check_frame(frame, prediction)
+        for frame, prediction in zip(job.frames, predictions, strict=True)
+    )
+    P = _expected_covariance(job, scene, parameters)
+    return JobCheck(
+        frames=frames,
+        parameters=tuple(
+            ParameterCheck(name=name, prior_sigma=float(prior), expected_sigma=float(expected))
+            for name, prior, expected in zip(
+                parameters.names, parameters.prior_sigma, P.diagonal().sqrt(), strict=True
+            )
+        ),
+        unobservable=unobservable_directions(P, parameters),
+        warnings=() if parameters.names else ("The job declares nothing unknown.",),
+    )
+
+
+def _expected_covariance(
+    job: Job, scene: Scene, parameters: Parameters
+) -> Float[Tensor, "parameter parameter"]:
+    """P of eq. 3 if the nominal pose were right and all measured pixels showed the model."""
+    if not parameters.names:
+        return parameters.prior_sigma.new_zeros(0, 0)
+    observation = observe(job)
+    fit = RangeFit(
+        observation=coarser(observation, coarse_factor(observation)),
+        surface=scene.surface,
+        parameters=parameters,
+        cutoff=UNLIMITED,
+        drift=None,
+    )
+    return covariance(fit.evaluate(parameters.nominal[None]).information[0])
+
+
+def _check_frame(frame: Frame, prediction: Float[Tensor, "h w"]) -> FrameCheck:
+    ranges = frame.image.range
+    measured, modelled = ranges.isfinite(), prediction.isfinite()
+    usable = measured & frame.image.usable
+    both = usable & modelled
+    median, predicted = (_median(x) for x in (ranges[usable], prediction[both]))
+    shares = tuple(float(x.double().mean()) for x in (measured, usable))
+    model_share = float(both.sum()) / max(int(usable.sum()), 1)
+    return FrameCheck(
+        name=frame.image.name,
+        measured_fraction=shares[0],
+        usable_fraction=shares[1],
+        model_fraction=model_share,
+        median_range_m=median,
+        predicted_median_range_m=predicted,
+        warnings=tuple(_warnings(shares[1], model_share, median / predicted)),
+    )
+
+
+def _median(values: Tensor) -> float:
+    return float(values.median()) if values.numel() else float("nan")
+
+
+def _warnings(usable_share: float, model_share: float, ratio: float) -> list[str]:
+    warnings = []
+    if usable_share < FEW:
+        warnings.append(f"only {usable_share:.1%} of the pixels were measured and may be used")
+    if model_share < FEW:
+        warnings.append(
+            f"the model fills only {model_share:.1%} of the measured pixels at the nominal pose"
+        )
+    if ratio > UNITS or ratio < 1.0 / UNITS:
+        warnings.append(
+            f"the measured ranges are {ratio:.3g} times the model's: check depth_unit and unit"
+        )
+    return warnings
+
+

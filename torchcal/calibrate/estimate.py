@@ -1,0 +1,170 @@
+"""Parameter estimation (section 3): start, coarse choice, final fit, and what to say of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchcal.calibrate.compare import Belief
+from torchcal.calibrate.observability import poses_are_told, unobservable_directions
+from torchcal.calibrate.observation import coarser, observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.refine import (
+    Refined,
+    coarse_factor,
+    coarse_fit,
+    estimated_covariance,
+    fine_fit,
+)
+from torchcal.calibrate.result import (
+    Alternative,
+    Estimate,
+    FrameComparison,
+    PixelClass,
+    Status,
+)
+from torchcal.calibrate.search import are_apart, find_candidates
+from torchcal.geometry import gaussian
+from torchcal.model.job import Job
+from torchcal.model.scene import Scene
+
+RIVAL = 0.02
+"""A state whose coarse cost is at most this share higher explains the images as well."""
+EXPLAINED = 0.2
+"""Share of the compared pixels that must agree before a pose counts as an explanation."""
+ITERATIONS = 15
+"""Most steps of each final fit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Choice:
+    """The start that explains the coarse images best, and those that explain them as well."""
+
+    state: Float[Tensor, "2 4 4"]
+    score: float
+    """Robust cost per measured pixel of the coarse images."""
+    rivals: tuple[tuple[Tensor, float], ...]
+    """State and score."""
+
+
+def choose_start(
+    job: Job, scene: Scene, parameters: Parameters, generator: torch.Generator
+) -> Choice:
+    """Hypotheses, robust fits and a score that needs no truth (3.5)."""
+    observation = observe(job)
+    coarse = coarser(observation, coarse_factor(observation))
+    candidates = find_candidates(coarse, scene.surface, parameters, generator)
+    solution = coarse_fit(coarse, scene.surface, parameters, candidates)
+    scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
+    order = scores.argsort().tolist()
+    best = order[0]
+    rivals = tuple(
+        (solution.state[i], float(scores[i]))
+        for i in order[1:]
+        if scores[i] <= (1.0 + RIVAL) * scores[best]
+        and are_apart(solution.state[i], solution.state[best], parameters)
+    )
+    return Choice(state=solution.state[best], score=float(scores[best]), rivals=rivals)
+
+
+def fit_pixels(
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    state: Float[Tensor, "2 4 4"],
+    excluded: Bool[Tensor, "frame h w"] | None = None,
+) -> Refined:
+    """The fit on every pixel, without those that are known to show something else."""
+    observation = observe(job)
+    if excluded is not None:
+        observation = observation.without(excluded)
+    return fine_fit(observation, scene.surface, parameters, state, iterations=ITERATIONS)
+
+
+def nominal_belief(job: Job, parameters: Parameters) -> Belief:
+    """What is believed before any image is looked at: the nominal state with P = prior."""
+    drift = job.sensor.noise.drift
+    return Belief(
+        state=parameters.nominal,
+        covariance=torch.diag(parameters.prior_sigma.square()),
+        drift_sigma=0.0 if drift is None else drift.sigma,
+        drift_pixels=0.0 if drift is None else drift.pixels,
+    )
+
+
+def belief_after(refined: Refined) -> Belief:
+    """What is believed after a fit."""
+    drift = refined.fit.drift
+    return Belief(
+        state=refined.state,
+        covariance=estimated_covariance(refined),
+        drift_sigma=drift.sigma if drift else 0.0,
+        drift_pixels=drift.pixels * refined.factor if drift else 0.0,
+    )
+
+
+def estimate_of(
+    parameters: Parameters,
+    belief: Belief,
+    choice: Choice,
+    comparisons: Sequence[FrameComparison],
+) -> Estimate:
+    """Puts a belief into words and figures."""
+    jacobians = parameters.pose_jacobians(belief.state)
+    status = _status(parameters, belief, choice, comparisons, jacobians)
+    return Estimate(
+        status=status,
+        message=_message(status, parameters, len(choice.rivals)),
+        names=parameters.names,
+        covariance=belief.covariance,
+        T_world_base=belief.state[0],
+        T_link_sensor=belief.state[1],
+        Ts_world_sensor=parameters.sensor_poses(belief.state),
+        pose_covariances=gaussian.moved_covariance(belief.covariance, jacobians),
+        sigma_scale=belief.sigma_scale,
+        drift_sigma=belief.drift_sigma,
+        drift_pixels=belief.drift_pixels,
+        score=choice.score,
+        unobservable=unobservable_directions(belief.covariance, parameters),
+        alternatives=tuple(
+            Alternative(Ts_world_sensor=parameters.sensor_poses(state), score=score)
+            for state, score in choice.rivals
+        ),
+    )
+
+
+def _status(
+    parameters: Parameters,
+    belief: Belief,
+    choice: Choice,
+    comparisons: Sequence[FrameComparison],
+    jacobians: Tensor,
+) -> Status:
+    if not belief.covariance.isfinite().all() or agreement(comparisons) < EXPLAINED:
+        return Status.FAILED
+    if not poses_are_told(belief.covariance, parameters, jacobians):
+        return Status.UNOBSERVABLE
+    return Status.AMBIGUOUS if choice.rivals else Status.CONVERGED
+
+
+def agreement(comparisons: Sequence[FrameComparison]) -> float:
+    """Share of the measured and usable pixels that agree with the model; 0 where there are none."""
+    labels = torch.stack([comparison.label for comparison in comparisons])
+    compared = (PixelClass.AGREES, PixelClass.NEARER, PixelClass.FARTHER)
+    total = sum(int((labels == kind).sum()) for kind in compared)
+    return int((labels == PixelClass.AGREES).sum()) / max(total, 1)
+
+
+def _message(status: Status, parameters: Parameters, rivals: int) -> str:
+    if not parameters.names:
+        return "The job declares nothing unknown: the images were compared at the nominal pose."
+    return {
+        Status.CONVERGED: "The model explains the images; the estimated pose can be used.",
+        Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "
+        "without knowing which is right.",
+        Status.UNOBSERVABLE: "The images leave the sensor's pose open in some direction: what is "
+        "given there comes from the prior.",
+        Status.FAILED: "No pose near the nominal one explains the images.",
+    }[status]

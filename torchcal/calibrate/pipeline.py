@@ -1,0 +1,146 @@
+"""The method on one page: estimate, compare, update (sections 2 and 3 of the paper)."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from torchcal.calibrate.compare import Belief, compare, residual_scale
+from torchcal.calibrate.estimate import (
+    Choice,
+    belief_after,
+    choose_start,
+    estimate_of,
+    fit_pixels,
+    nominal_belief,
+)
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.regions import significant_regions
+from torchcal.calibrate.result import Calibration, FrameComparison
+from torchcal.calibrate.update import propose_update
+from torchcal.model.job import Job
+from torchcal.model.scene import Scene, build_scene
+from torchcal.render.synthesis import synthesise
+
+Progress = Callable[[str, float], None]
+"""Told the name of a stage and the share of it that is done, 0 to 1."""
+
+
+def calibrate(
+    job: Job,
+    *,
+    estimate: bool = True,
+    generator: torch.Generator,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Estimates what is unknown, compares model and measurement, and proposes a better model.
+
+    Args:
+        job: The recording and everything that is believed about it.
+        estimate: False: compare at the nominal pose, with the prior for P of eq. 3.
+        generator: Draws starts and points; on the CPU.
+        progress: Called at the beginning and the end of each stage.
+    """
+    stages = _Stages(progress=progress)
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    belief, choice = nominal_belief(job, parameters), _no_choice(parameters)
+    if estimate and parameters.names:
+        with stages.stage("find a start"):
+            choice = choose_start(job, scene, parameters, generator)
+        with stages.stage("fit every pixel"):
+            refined = fit_pixels(job, scene, parameters, choice.state)
+        with stages.stage("set aside what differs"):
+            differing = _differing_pixels(job, scene, parameters, belief_after(refined))
+        with stages.stage("fit the rest"):
+            refined = fit_pixels(job, scene, parameters, refined.state, differing)
+            belief = belief_after(refined)
+    with stages.stage("compare"):
+        belief, comparisons = _compared(job, scene, parameters, belief)
+    result = estimate_of(parameters, belief, choice, comparisons)
+    with stages.stage("update"):
+        update = propose_update(
+            job,
+            comparisons,
+            scene.bodies,
+            result.Ts_world_sensor,
+            correlation_pixels=belief.drift_pixels,
+        )
+    return Calibration(
+        job=job, estimate=result, comparisons=comparisons, update=update, timing=stages.timing
+    )
+
+
+def predict(job: Job) -> tuple[Float[Tensor, "h w"], ...]:
+    """What the model predicts at the nominal pose: range images (m), NaN where nothing is met."""
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    poses = parameters.bodies_in_sensor(parameters.nominal).float()
+    return tuple(synthesise(scene.surface, pose, job.sensor).range for pose in poses)
+
+
+def build_job_scene(job: Job) -> Scene:
+    """The job's world and robot as one surface, on the job's device."""
+    device = job.T_world_base.device
+    return build_scene(job.world, job.robot, dtype=torch.float32, device=device)
+
+
+def _no_choice(parameters: Parameters) -> Choice:
+    return Choice(state=parameters.nominal, score=0.0, rivals=())
+
+
+def _compared(
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+) -> tuple[Belief, tuple[FrameComparison, ...]]:
+    """The comparison, with a sigma that is no smaller than the residuals show."""
+    comparisons = compare(job, scene, parameters, belief)
+    scale = residual_scale(comparisons)
+    if scale > 1.0:
+        belief = replace(belief, sigma_scale=scale)
+        comparisons = compare(job, scene, parameters, belief)
+    return belief, comparisons
+
+
+def _differing_pixels(
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+) -> Bool[Tensor, "frame h w"]:
+    """Pixels in or beside regions that differ from the model: their beams mix both surfaces."""
+    belief, comparisons = _compared(job, scene, parameters, belief)
+    return torch.stack([_differing(job, frame, belief.drift_pixels) for frame in comparisons])
+
+
+def _differing(job: Job, frame: FrameComparison, correlation_pixels: float) -> Tensor:
+    regions = significant_regions(
+        frame, job.sensor, correlation_pixels=correlation_pixels, alpha=job.alpha
+    )
+    mask = torch.zeros_like(frame.usable)
+    for region in regions:
+        mask |= region.mask.to(mask.device)
+    side = 2 * (job.sensor.beam + 2) + 1
+    grown = functional.max_pool2d(mask[None, None].float(), side, stride=1, padding=side // 2)
+    return grown[0, 0] > 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Stages:
+    """Tells about stages and keeps their times."""
+
+    progress: Progress | None
+    timing: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        self._tell(name, 0.0)
+        yield
+        self.timing[name] = time.perf_counter() - start
+        self._tell(name, 1.0)
+
+    def _tell(self, name: str, share: float) -> None:
+        if self.progress is not None:
+            self.progress(name, share)

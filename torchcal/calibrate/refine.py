@@ -1,0 +1,170 @@
+"""From a start to the estimate on every pixel: coarse to fine, noise model, final fit, covariance."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.noise import COEFFICIENTS, NoiseModel, correlation, noise_model
+from torchcal.calibrate.observation import Observation, coarser
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.geometry import robust
+from torchcal.model.scene import Surface
+from torchcal.model.sensor import Drift
+from torchcal.solve.field import SPACING
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, covariance, minimise
+from torchcal.solve.image_equations import blockwise_scatter
+
+COARSE_SIDE = 60
+"""The coarsest image has about so many pixels along its shorter side."""
+FINE_PIXELS = 1_600_000
+"""Pixels of all frames together in the final fit of a sharp sensor; more are averaged in blocks."""
+RIPPLE = 0.005
+"""Share of the cost that pixels changing from face to face may add in an accepted step."""
+BLOCK = 24
+"""Side (pixels) of the blocks whose gradients are taken as independent; longer with drift."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Refined:
+    """A state on one resolution and what was learnt there."""
+
+    state: Float[Tensor, "2 4 4"]
+    fit: RangeFit
+    """With the noise model that was used."""
+    factor: int
+    """Block size of the resolution: pixels of the image for one of the fit."""
+    solution: Solution
+
+
+def coarse_factor(observation: Observation) -> int:
+    """Block size of the coarsest resolution."""
+    projection = observation.sensor.projection
+    return max(1, min(8, min(projection.width, projection.height) // COARSE_SIDE))
+
+
+def fine_factor(observation: Observation) -> int:
+    """Block size of the final resolution: 1 for wide beams, whose box must be kept exactly."""
+    if observation.sensor.beam > 1:
+        return 1
+    pixels = observation.range.numel()
+    return next(f for f in itertools.count(1) if pixels <= FINE_PIXELS * f * f)
+
+
+def coarse_fit(
+    observation: Observation,
+    surface: Surface,
+    parameters: Parameters,
+    states: Float[Tensor, "candidate 2 4 4"],
+) -> Solution:
+    """First fits of all candidates on a coarse image, at one cut-off (eq. 16) so that costs compare."""
+    fit = RangeFit(
+        observation=observation,
+        surface=surface,
+        parameters=parameters,
+        cutoff=robust.EFFICIENT,
+        drift=None,
+    )
+    config = GaussNewtonConfig(iterations=6, ripple=RIPPLE)
+    solution = None
+    for _ in range(2):
+        fit = replace(fit, cutoff=min(_cutoff(fit, state) for state in states))
+        solution = minimise(fit.evaluate, parameters.retract, states, config)
+        states = solution.state
+    assert solution is not None, "there are two rounds"
+    return solution
+
+
+def _cutoff(fit: RangeFit, state: Tensor) -> float:
+    """Eq. 16 over all frames, not below the efficient cut-off."""
+    v = [(f.residual / f.sigma)[f.compared] for f in fit.residuals(state)]
+    return robust.cutoff(torch.cat(v))
+
+
+def fine_fit(
+    observation: Observation,
+    surface: Surface,
+    parameters: Parameters,
+    state: Float[Tensor, "2 4 4"],
+    *,
+    iterations: int,
+) -> Refined:
+    """The fit on every pixel with the noise model of the sensor, or of the residuals themselves."""
+    factor = fine_factor(observation)
+    observation = coarser(observation, factor)
+    fit = RangeFit(
+        observation=observation,
+        surface=surface,
+        parameters=parameters,
+        cutoff=2.0 * robust.EFFICIENT,
+        drift=None,
+    )
+    fit = with_noise(fit, state, factor)
+    config = GaussNewtonConfig(iterations=iterations, ripple=RIPPLE, damping=1e-6)
+    solution = minimise(fit.evaluate, parameters.retract, state[None], config)
+    fit = with_noise(fit, solution.state[0], factor)
+    solution = minimise(fit.evaluate, parameters.retract, solution.state, config)
+    return Refined(state=solution.state[0], fit=fit, factor=factor, solution=solution)
+
+
+def with_noise(fit: RangeFit, state: Float[Tensor, "2 4 4"], factor: int) -> RangeFit:
+    """The fit with the efficient cut-off and the noise that its own residuals show."""
+    known = fit.observation.sensor.noise.drift
+    if known is not None:
+        drift = Drift(sigma=known.sigma, pixels=known.pixels / factor)
+        fit = replace(fit, drift=drift, cutoff=robust.EFFICIENT)
+        return replace(fit, sigma_scale=max(1.0, _independent_scale(fit, state)))
+    model = _noise_of_residuals(fit, state)
+    drift = model.drift if model.drift.sigma > 0 else None
+    return replace(fit, drift=drift, sigma_scale=model.sigma_scale, cutoff=robust.EFFICIENT)
+
+
+def _independent_scale(fit: RangeFit, state: Tensor) -> float:
+    """Robust standard deviation of the whitened residuals without their slowly varying part."""
+    plain = replace(fit, sigma_scale=1.0)
+    v = []
+    for frame in plain.residuals(state):
+        image = plain.separate(frame)
+        v.append((image.error / frame.sigma)[frame.compared])
+    return robust.robust_scale(torch.cat(v))
+
+
+def _noise_of_residuals(fit: RangeFit, state: Tensor) -> NoiseModel:
+    sigma = float(fit.observation.sigma[fit.observation.measured].median())
+    filled = float(fit.observation.measured.flatten(1).double().sum(1).max())
+    return noise_model(
+        correlation(_inliers(fit, state)),
+        sigma,
+        shortest=(filled / COEFFICIENTS) ** 0.5 / SPACING,
+    )
+
+
+def _inliers(fit: RangeFit, state: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Residuals (m) of each frame and which of them lie within the cut-off."""
+    for frame in fit.residuals(state):
+        limit = fit.cutoff * frame.sigma
+        if fit.drift is not None:
+            limit = torch.hypot(limit, torch.tensor(fit.cutoff * fit.drift.sigma).to(limit))
+        yield frame.residual, frame.compared & (frame.residual.abs() < limit)
+
+
+def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter"]:
+    """P of eq. 3 after the fit: the information, divided by how much blocks of pixels scatter more.
+
+    The gradients of blocks of pixels scatter as the information says if the noise model is right.
+    Their excess is what neighbouring errors share beyond it; the data's information is divided by it.
+    """
+    fit = refined.fit
+    scatter = information = 0.0
+    for frame in fit.residuals(refined.state):
+        image = fit.separate(frame)
+        length = fit.drift.pixels if fit.drift is not None else 0.0
+        scatter = scatter + blockwise_scatter(image, frame.jacobian, max(BLOCK, int(3 * length)))
+    prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
+    information = refined.solution.equations.information[0] - prior
+    excess = torch.linalg.lstsq(information, scatter).solution.diagonal().mean()
+    return covariance(prior + information / excess.clamp(min=1.0))

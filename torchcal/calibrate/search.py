@@ -1,0 +1,73 @@
+"""Where to start: hypotheses drawn from the prior, aligned with the nearest patches of the model.
+
+Section 3.5 starts from the initial values and, where no good estimate follows, from random ones. Here
+all starts run at once; the ones that end apart and explain the points best go on to the images.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.nearest_fit import NearestFit
+from torchcal.calibrate.observation import Observation
+from torchcal.calibrate.parameters import Parameters
+from torchcal.model.scene import Surface
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise
+
+STARTS = 32
+"""The nominal state and draws from the prior."""
+KEPT = 4
+"""States that are looked at again after the first alignment."""
+POINTS = 3000
+"""Measured points in all frames together."""
+APART = 0.1
+"""States that differ by less than this many prior sigmas in every parameter count as one."""
+
+
+def find_candidates(
+    observation: Observation,
+    surface: Surface,
+    parameters: Parameters,
+    generator: torch.Generator,
+) -> Float[Tensor, "candidate 2 4 4"]:
+    """States that explain the measured points, the best first; the nominal one if none does."""
+    count = max(50, POINTS // len(observation.range))
+
+    def aligned(state: Tensor, starts: Tensor) -> Solution:
+        fit = NearestFit.of(
+            observation, surface, parameters, state, count=count, generator=generator
+        )
+        config = GaussNewtonConfig(iterations=15, ripple=0.01)
+        return minimise(fit.evaluate, parameters.retract, starts, config)
+
+    first = aligned(parameters.nominal, _starts(parameters, generator))
+    again = [aligned(state, state[None]) for state in distinct(first, parameters, KEPT)]
+    states = torch.cat([solution.state for solution in again])
+    costs = torch.cat([solution.equations.cost for solution in again])
+    return states[costs.nan_to_num(torch.inf).argsort()]
+
+
+def distinct(solution: Solution, parameters: Parameters, most: int) -> list[Tensor]:
+    """The best states of a batch that are apart from each other."""
+    kept: list[Tensor] = []
+    for i in solution.equations.cost.nan_to_num(torch.inf).argsort().tolist():
+        state = solution.state[i]
+        if len(kept) < most and all(are_apart(state, other, parameters) for other in kept):
+            kept.append(state)
+    return kept
+
+
+def are_apart(
+    state: Float[Tensor, "2 4 4"], other: Float[Tensor, "2 4 4"], parameters: Parameters
+) -> bool:
+    """Whether two states differ by more than ``APART`` prior sigmas in some parameter."""
+    difference = parameters.difference(state, other) / parameters.prior_sigma
+    return bool((difference.abs() > APART).any())
+
+
+def _starts(parameters: Parameters, generator: torch.Generator) -> Tensor:
+    shape = (STARTS, len(parameters.names))
+    steps = torch.randn(shape, generator=generator, dtype=torch.float64)
+    steps[0] = 0.0
+    steps = steps.to(parameters.prior_sigma) * parameters.prior_sigma
+    return parameters.retract(parameters.nominal.expand(STARTS, 2, 4, 4), steps)
