@@ -14,7 +14,7 @@ LAGS = 60
 """Largest distance (pixels) at which the correlation is looked at."""
 LEAST_SHARE = 0.003
 """A slowly varying part with less of the variance than this is not told from none."""
-COEFFICIENTS = 1600
+COEFFICIENTS = 1000
 """Most splines over one image: shorter correlations are represented by the shortest that fits."""
 
 

@@ -10,7 +10,13 @@ def predicted_sigma(
     P: Float[Tensor, "parameter parameter"],
     sigma: Float[Tensor, "*batch"],
 ) -> Float[Tensor, "*batch"]:
-    """sigma' = sqrt(H P H^T + sigma^2), the standard deviation of measured minus predicted (eq. 4)."""
+    """Standard deviation of measured minus predicted: sigma' = sqrt(H P H^T + sigma^2) (eq. 4).
+
+    Args:
+        H: Derivative of the prediction to the parameters.
+        P: Covariance of the parameters (eq. 3).
+        sigma: Noise of the measurement, in the unit of the result.
+    """
     variance = ((H @ P) * H).sum(-1)
     return (variance.clamp(min=0.0) + sigma.square()).sqrt()
 
@@ -18,7 +24,7 @@ def predicted_sigma(
 def moved_covariance(
     P: Float[Tensor, "parameter parameter"], J: Float[Tensor, "*batch 6 parameter"]
 ) -> Float[Tensor, "*batch 6 6"]:
-    """J P J^T, the covariance of what depends on the parameters by J."""
+    """J P J^T, the covariance of a twist that depends on the parameters by J."""
     return J @ P @ J.mT
 
 
@@ -27,9 +33,13 @@ def left_over(
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n n"]]:
     """How much of the prior's standard deviation the data leave, by direction.
 
+    Args:
+        covariance: Of the parameters after the data.
+        prior_sigma: Standard deviations before the data.
+
     Returns:
         Ratios, 1 where the data say nothing, in falling order; the directions, in units of the
-        prior's sigmas, as columns.
+        prior's sigmas, as columns of length 1. NaN if the covariance is not finite.
     """
     scaled = covariance / prior_sigma[:, None] / prior_sigma
     ratio, direction = torch.linalg.eigh(0.5 * (scaled + scaled.mT))

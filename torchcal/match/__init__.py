@@ -1,0 +1,1 @@
+"""Elements and correspondences."""

@@ -1,7 +1,7 @@
 """The nearest element of the model for every measured point (3.5 (1)).
 
-The elements are small patches of the model's visible surface: a point and a normal. The trees live in
-frames in which the patches stand still, so many hypotheses of the sensor's pose share one tree.
+The elements are small patches of the model's visible surface: a point and a normal. The trees live
+in frames in which the patches stand still, so many hypotheses of the sensor's pose share one tree.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 
@@ -21,19 +21,24 @@ class Patches:
     """m"""
     normals: Float[Tensor, "patch 3"]
     """Unit length."""
-    tree: cKDTree
+    tree: KDTree
 
     @staticmethod
     def of(points: Float[Tensor, "patch 3"], normals: Float[Tensor, "patch 3"]) -> "Patches":
         """Patches with the search tree over their points."""
-        return Patches(points=points, normals=normals, tree=cKDTree(points.cpu().numpy()))
+        return Patches(points=points, normals=normals, tree=KDTree(points.cpu().numpy()))
 
     def nearest(
         self, queries: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "*batch"], Int[Tensor, "*batch"]]:
-        """Distance (m) to the nearest patch and its index; infinite and 0 where there is none."""
-        flat = np.nan_to_num(queries.reshape(-1, 3).cpu().numpy(), nan=1e9)
-        distance, index = self.tree.query(flat, workers=-1)
+        """Distance (m) to the nearest patch and its index.
+
+        Infinite and 0 for queries that are not finite, and for all where there is no patch.
+        """
+        flat = queries.reshape(-1, 3).cpu().numpy()
+        finite = np.isfinite(flat).all(1, keepdims=True)
+        distance, index = self.tree.query(np.where(finite, flat, 0.0), workers=-1)
+        distance = np.where(finite[:, 0], distance, np.inf)
         index = np.where(np.isfinite(distance), index, 0)
         shape = queries.shape[:-1]
         return (

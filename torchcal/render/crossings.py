@@ -1,12 +1,12 @@
 """How much of a pixel lies beyond a silhouette.
 
-Between the centres of two neighbouring pixels the surface changes at the silhouette and not half-way,
-as the hard z-buffer says, so the strip between the two moves from one surface to the other. For a
-straight edge this is the exact area in every row; it is symmetric about the edge and leaves no seam
-inside a face.
+Between the centres of two neighbouring pixels the surface changes at the silhouette and not
+half-way, as the hard z-buffer says, so the strip between the two moves from one surface to the other.
+For a straight edge this is the exact area in every row; it is symmetric about the edge and leaves no
+seam inside a face.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -27,7 +27,7 @@ class Crossings:
     step: Int[Tensor, "crossing 2"]
     """The step (u, v) of one pixel from the pixel's centre across the silhouette."""
     own_face: Int[Tensor, " crossing"]
-    """The face at the pixel's centre; -1 where the model is empty."""
+    """The face that fills the pixel on this side of the silhouette; -1 where the model is empty."""
     other_face: Int[Tensor, " crossing"]
     """The face beyond the silhouette; -1 where the model is empty."""
     gap: Float[Tensor, " crossing"]
@@ -77,9 +77,13 @@ def find_crossings(
     sides = _sides(cuts, vertices.detach(), surface, face_image, projection)
     seen = _is_seen(cuts, sides, vertices.detach(), surface, facets, projection)
     cuts, sides = cuts.select(seen), sides.select(seen)
+    outermost = _outermost(cuts, sides, face_image)
+    cuts, sides = cuts.select(outermost), sides.select(outermost)
     planes = EdgePlanes.of(cuts, vertices, surface)
     place, rate = newton_step(cuts, planes.normal, projection)
-    return _crossings(cuts, sides, place, _place_derivative(cuts, planes, rate, projection), surface)
+    derivative = _place_derivative(cuts, planes, rate, projection)
+    crossings = _crossings(cuts, sides, place, derivative, surface)
+    return _without_slivers(crossings, facets, face_image, projection)
 
 
 def _sides(
@@ -122,6 +126,22 @@ def _is_seen(
     return (sides.near_face >= 0) & (jump > 0) & close
 
 
+def _outermost(cuts: Cuts, sides: _Sides, face_image: Tensor) -> Tensor:
+    """Of the cuts between the same two centres with the same near side, the one at the far end.
+
+    The near surface reaches as far as its last edge; the edges before it lie on or behind it.
+    """
+    gap = ((cuts.place - sides.near_pixel) * cuts.axis).sum(-1).abs()
+    near = sides.near_pixel[:, 1] * face_image.shape[1] + sides.near_pixel[:, 0]
+    forward = (sides.far_pixel - sides.near_pixel).sum(-1) > 0
+    strip = 4 * near + 2 * cuts.along_u.long() + forward.long()
+    order = torch.arange(len(gap), device=gap.device)
+    # Positive floats sort like their bits: one number holds the gap and, for ties, the cut.
+    key = (gap.float().view(torch.int32).long() << 32) | order
+    last = key.new_zeros(4 * face_image.numel()).scatter_reduce_(0, strip, key, "amax")
+    return last[strip] == key
+
+
 def _points_on_edges(planes: EdgePlanes, ray: Tensor) -> Tensor:
     """The point (m) of each edge's line that is nearest to the ray."""
     direction = planes.last - planes.first
@@ -149,8 +169,7 @@ def _crossings(
     to_near = ((cuts.place - sides.near_pixel) * cuts.axis).sum(-1).abs()
     in_near = to_near < 0.5
     pixel = torch.where(in_near[:, None], sides.near_pixel, sides.far_pixel)
-    beyond = torch.where(in_near[:, None], sides.far_pixel, sides.near_pixel)
-    step = beyond - pixel
+    step = torch.where(in_near[:, None], sides.far_pixel, sides.near_pixel) - pixel
     sign = (step * cuts.axis).sum(-1)
     return Crossings(
         pixel=pixel,
@@ -161,3 +180,28 @@ def _crossings(
         gap_derivative=sign[:, None] * place_derivative,
         body=surface.vertex_body[surface.edges[cuts.edge, 0]],
     )
+
+
+def _without_slivers(
+    crossings: Crossings, facets: Facets, face_image: Tensor, projection: Projection
+) -> Crossings:
+    """Where the pixel's own face is seen edge-on, the face of the pixel behind fills its part.
+
+    A face that rises more to the middle of the part than to the next pixel's surface, four times as
+    far away, ends before that.
+    """
+    pixel, own = crossings.pixel, crossings.own_face
+    size = torch.tensor([projection.width, projection.height], device=pixel.device)
+    back = torch.minimum((pixel - crossings.step).clamp(min=0), size - 1)
+    behind = face_image[back[:, 1], back[:, 0]]
+    offset = 0.5 * (crossings.gap.detach() - 0.5)[:, None]
+    middle = _ranges_at(own, pixel + offset * crossings.step, facets, projection)
+    centre = _ranges_at(own, pixel.to(middle), facets, projection)
+    next_one = _ranges_at(behind, back.to(middle), facets, projection)
+    too_steep = (middle - centre).abs() > (next_one - centre).abs()
+    replaced = too_steep & (behind >= 0) & (own >= 0)
+    return replace(crossings, own_face=torch.where(replaced, behind, own))
+
+
+def _ranges_at(face: Tensor, place: Tensor, facets: Facets, projection: Projection) -> Tensor:
+    return facets.ranges(face, projection.rays(place[:, 0], place[:, 1])).detach()

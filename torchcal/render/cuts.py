@@ -84,7 +84,7 @@ def newton_step(
 
 
 def _cut(pieces: Pieces, projection: Projection) -> Cuts:
-    """Cuts each piece with the rows or columns that it crosses, the start left out, the end kept."""
+    """Cuts each piece with the rows or columns that it crosses; its lower end is left out."""
     delta = pieces.end - pieces.start
     along_u = delta[:, 1].abs() >= delta[:, 0].abs()
     main = along_u.long()[:, None]

@@ -93,8 +93,8 @@ def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor,
     normalize = torch.nn.functional.normalize
     angle = (normalize(first, dim=-1) - normalize(last, dim=-1)).norm(dim=-1)
     # Equal lengths on the edge are unequal angles: twice the pieces keep the longest one short.
-    count = (2.0 * angle / (ARC * step)).ceil().clamp(min=1).long()
-    piece = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
+    count = (2.0 * angle / (ARC * step)).nan_to_num().ceil().clamp(min=1).long()
+    piece = torch.repeat_interleave(count)
     order = torch.arange(len(piece), device=count.device) - (count.cumsum(0) - count)[piece]
     share = (order / count[piece])[:, None].to(first)
     width = (1.0 / count[piece])[:, None].to(first)

@@ -1,16 +1,18 @@
 """The hard z-buffer: which face every pixel's central ray meets first.
 
-It answers with indices only; depths and derivatives are then closed forms of the faces' planes
-(``faces.py``), so nothing here needs to be differentiable.
+It answers with indices only; ranges and derivatives are then closed forms of the faces' planes
+(``facets.py``), so nothing here needs to be differentiable.
 """
 
 import itertools
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection, Spherical
+from torchcal.render.facets import Facets
 
 TILE = 16
 """Side (pixels) of the tiles that large faces are culled by."""
@@ -19,6 +21,14 @@ DIRECT = 256
 PAIRS = 1 << 22
 """Pairs of a face and a pixel that are tested at a time: it bounds the memory."""
 EMPTY = torch.iinfo(torch.int64).max
+"""What the z-buffer holds where no face was entered."""
+CLOSE = 1e-6
+"""Corners nearer than this (m) to a pinhole's plane do not bound their face in the image."""
+MARGIN = 1e-3
+"""Pixels by which rounding may move a face in a pinhole's image."""
+SPREAD, SLOPE = 0.3, 4.0
+"""Longest side (chord of the unit sphere) and steepest elevation (its tangent) of faces that the
+box of their corners bounds in a spherical image."""
 
 
 def visible_faces(
@@ -34,46 +44,44 @@ def visible_faces(
     return torch.stack([_visible_faces_of_view(v, faces, projection) for v in vertices])
 
 
-def _visible_faces_of_view(
-    vertices: Float[Tensor, "vertex 3"], faces: Int[Tensor, "face 3"], projection: Projection
-) -> Int[Tensor, "h w"]:
-    corners = vertices[faces]
-    box = _pixel_boxes(corners, projection)
-    extent = (box[:, 2:] - box[:, :2]).clamp(min=0)
-    area = extent.prod(-1)
-    test = _FaceTest(vertices, faces, projection)
-    buffer = torch.full(
-        (projection.height * projection.width,), EMPTY, dtype=torch.int64, device=vertices.device
-    )
+def _visible_faces_of_view(vertices: Tensor, faces: Tensor, projection: Projection) -> Tensor:
+    box = _pixel_boxes(vertices[faces], projection)
+    area = (box[:, 2:] - box[:, :2]).clamp(min=0).prod(-1)
+    test = _FaceTest.of(vertices, faces, projection)
+    size = projection.height * projection.width
+    buffer = torch.full((size,), EMPTY, dtype=torch.int64, device=vertices.device)
     small = torch.nonzero((area > 0) & (area <= DIRECT))[:, 0]
     large = torch.nonzero(area > DIRECT)[:, 0]
     _fill(buffer, test, small, box[small])
-    for tiles in _chunks(_tiles_of_boxes(large, box[large], test), PAIRS // TILE**2):
+    for tiles in _tiles_of_boxes(large, box[large], test).split(PAIRS // TILE**2):
         _fill(buffer, test, tiles[:, 0], tiles[:, 1:])
     face = torch.where(buffer == EMPTY, -1, buffer & 0xFFFFFFFF)
     return face.view(projection.height, projection.width)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
 class _FaceTest:
-    """Ray against triangle by homogeneous edge functions: also right behind the sensor."""
+    """Ray against triangle by homogeneous edge functions: right where faces pass the sensor, too."""
 
-    def __init__(self, vertices: Tensor, faces: Tensor, projection: Projection):
-        self.projection = projection
-        self.corners = vertices[faces]
-        v0, v1, v2 = self.corners.unbind(1)
-        self.normal = torch.linalg.cross(v1 - v0, v2 - v0)
-        self.offset = (self.normal * v0).sum(-1)
+    projection: Projection
+    facets: Facets
+    edge: Float[Tensor, "face 3 3"]
+    """Normals of the planes through the sensor and each side, towards the inside of the face."""
+
+    @staticmethod
+    def of(vertices: Tensor, faces: Tensor, projection: Projection) -> "_FaceTest":
+        facets = Facets.of(vertices, faces)
         start, end = faces, faces.roll(-1, 1)
         # Both faces of an edge take its vertices in the same order, so no ray slips between them.
         first, last = vertices[torch.minimum(start, end)], vertices[torch.maximum(start, end)]
         edge = torch.linalg.cross(first, last - first)
-        flip = torch.where(start < end, 1.0, -1.0).to(vertices) * self.offset.sign()[:, None]
-        self.edge = edge * flip[..., None]
+        flip = torch.where(start < end, 1.0, -1.0).to(vertices) * facets.offset.sign()[:, None]
+        return _FaceTest(projection=projection, facets=facets, edge=edge * flip[..., None])
 
     def ranges(self, face: Tensor, rays: Tensor) -> Tensor:
         """Range (m) at which each ray meets its face; infinite where it does not."""
         inside = ((self.edge[face] * rays[:, None]).sum(-1) >= 0).all(-1)
-        t = self.offset[face] / (self.normal[face] * rays).sum(-1)
+        t = self.facets.offset[face] / (self.facets.normal[face] * rays).sum(-1)
         return torch.where(inside & (t > 0), t, torch.inf)
 
     def may_touch(self, face: Tensor, axis: Tensor, sine: Tensor) -> Tensor:
@@ -86,29 +94,33 @@ class _FaceTest:
 def _pixel_boxes(corners: Tensor, projection: Projection) -> Tensor:
     """Half-open boxes (u0, v0, u1, v1) of pixel centres that each face may cover."""
     pixels = projection.pixels(corners)
-    margin, regular, empty = _regularity(corners, projection)
-    full = torch.tensor([[projection.width, projection.height]], device=corners.device)
-    low = torch.where(regular[:, None], (pixels.amin(1) - margin).ceil(), 0.0)
-    high = torch.where(regular[:, None], (pixels.amax(1) + margin).floor() + 1, full.to(low))
-    low = torch.minimum(low.nan_to_num(0.0).clamp(min=0), full.to(low)).long()
-    high = torch.minimum(high.nan_to_num(0.0).clamp(min=0), full.to(high)).long()
-    return torch.cat([low, torch.where(empty[:, None], low, high)], -1)
-
-
-def _regularity(corners: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
-    """Margin (pixels) of a face's box, whether the box of its corners bounds it, whether it is unseen."""
-    bad = ~corners.isfinite().all(-1).all(-1)
     if isinstance(projection, Spherical):
-        ray = torch.nn.functional.normalize(corners, dim=-1)
-        spread = torch.stack([(ray[:, i] - ray[:, i - 1]).norm(dim=-1) for i in range(3)]).amax(0)
-        slope = ray[..., 1].abs().amax(-1) / (1 - ray[..., 1].square()).clamp(min=1e-9).sqrt().amin(-1)
-        step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
-        margin = spread.square() * (1 + slope) / step + 0.5
-        seam = (corners[..., 2] < 0).any(-1) & (corners[..., 0].amin(-1) * corners[..., 0].amax(-1) < 0)
-        return margin[:, None], (spread < 0.3) & (slope < 4.0) & ~seam, bad
-    z = corners[..., 2]
-    margin = torch.full_like(z[:, :1], 1e-3)
-    return margin, (z > 1e-6).all(-1), bad | (z <= 0).all(-1)
+        margin, bounded = _spherical_bounds(corners, projection)
+        hidden = torch.zeros_like(bounded)
+    else:
+        margin, bounded = MARGIN, (corners[..., 2] > CLOSE).all(-1)
+        hidden = (corners[..., 2] <= 0).all(-1)
+    hidden = hidden | ~corners.isfinite().flatten(1).all(-1)
+    size = torch.tensor([projection.width, projection.height], device=corners.device).to(pixels)
+    low = torch.where(bounded[:, None], (pixels.amin(1) - margin).ceil(), 0.0)
+    high = torch.where(bounded[:, None], (pixels.amax(1) + margin).floor() + 1, size)
+    low = torch.minimum(low.nan_to_num(0.0).clamp(min=0), size).long()
+    high = torch.minimum(high.nan_to_num(0.0).clamp(min=0), size).long()
+    return torch.cat([low, torch.where(hidden[:, None], low, high)], -1)
+
+
+def _spherical_bounds(corners: Tensor, projection: Spherical) -> tuple[Tensor, Tensor]:
+    """Margin (pixels) by which sides bulge, and whether the box of the corners bounds a face."""
+    ray = torch.nn.functional.normalize(corners, dim=-1)
+    sides = ray - ray.roll(1, 1)
+    spread = sides.norm(dim=-1).amax(-1)
+    height = ray[..., 1].abs()
+    slope = (height / (1 - height.square()).clamp(min=1e-9).sqrt()).amax(-1)
+    step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
+    margin = spread.square() * (1 + slope) / step + 0.5
+    x, z = corners[..., 0], corners[..., 2]
+    over_seam = (z < 0).any(-1) & (x.amin(-1) * x.amax(-1) < 0)
+    return margin[:, None], (spread < SPREAD) & (slope < SLOPE) & ~over_seam
 
 
 def _tiles_of_boxes(face: Tensor, box: Tensor, test: _FaceTest) -> Tensor:
@@ -154,7 +166,7 @@ def _cells(first: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """All cells (item, column, row) of boxes from ``first`` to before ``last``."""
     extent = last - first
     count = extent.prod(-1)
-    item = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
+    item = torch.repeat_interleave(count)
     order = torch.arange(len(item), device=count.device) - (count.cumsum(0) - count)[item]
     columns = extent[item, 0]
     return item, first[item, 0] + order % columns, first[item, 1] + order // columns
@@ -166,7 +178,3 @@ def _parts(count: Tensor) -> list[slice]:
     sizes = torch.unique_consecutive(group, return_counts=True)[1].tolist()
     ends = list(itertools.accumulate(sizes))
     return [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
-
-
-def _chunks(rows: Tensor, size: int) -> tuple[Tensor, ...]:
-    return rows.split(max(size, 1)) if len(rows) else ()

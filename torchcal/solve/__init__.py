@@ -1,0 +1,1 @@
+"""Batched robust least squares."""

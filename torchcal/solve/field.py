@@ -15,7 +15,7 @@ SPACING = 1.5**0.5
 """Grid spacing in correlation lengths: cubic B-splines then correlate with length L."""
 VARIANCE = (151.0 / 315.0) ** 2
 """Mean over a cell of the sum of squares of the two-dimensional cubic B-splines."""
-TOLD = 1e-6
+TOLD = 1e-9
 """Share of the prior's precision below which the pixels tell nothing about a coefficient."""
 BAND = 3
 """Cubic B-splines overlap with three neighbours on each side."""
@@ -23,10 +23,12 @@ BAND = 3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SmoothField:
-    """A Gaussian field over an image."""
+    """A Gaussian field over an image: Phi a with independent coefficients a."""
 
     rows: Float[Tensor, "h row"]
+    """Splines along v; Phi is the product of both directions."""
     columns: Float[Tensor, "w column"]
+    """Splines along u."""
     precision: float
     """Of every coefficient (1/m^2)."""
 
@@ -43,18 +45,31 @@ class SmoothField:
         """Phi^T x for each image."""
         return (self.rows.mT @ images @ self.columns).flatten(-2)
 
-    def expand(self, coefficients: Float[Tensor, "*batch coefficient"]) -> Float[Tensor, "*batch h w"]:
+    def expand(
+        self, coefficients: Float[Tensor, "*batch coefficient"]
+    ) -> Float[Tensor, "*batch h w"]:
         """Phi a, the field (m)."""
         grid = coefficients.unflatten(-1, (self.rows.shape[1], self.columns.shape[1]))
         return self.rows @ grid @ self.columns.mT
 
+    def peaks(self) -> tuple[Int[Tensor, " row"], Int[Tensor, " column"]]:
+        """The v and the u of the pixels where the splines are largest."""
+        return self.rows.argmax(0), self.columns.argmax(0)
+
     def system(self, weight: Float[Tensor, "h w"]) -> "FieldSystem":
-        """Phi^T W Phi + prior, factorised, for the coefficients that some pixel tells about."""
+        """Phi^T W Phi + prior, factorised, for the coefficients that some pixel tells about.
+
+        Args:
+            weight: The diagonal of W (1/m^2).
+        """
         matrix = _gram(self.rows, self.columns, weight)
         told = torch.nonzero(matrix.diagonal() > TOLD * self.precision)[:, 0]
         matrix = matrix[told[:, None], told]
         matrix.diagonal().add_(self.precision)
-        return FieldSystem(told=told, factor=torch.linalg.cholesky_ex(matrix)[0])
+        return FieldSystem(
+            told=told,
+            factor=torch.linalg.cholesky_ex(matrix)[0],
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,7 +83,7 @@ class FieldSystem:
     def solve(
         self, right: Float[Tensor, "*batch coefficient"]
     ) -> Float[Tensor, "*batch coefficient"]:
-        """(Phi^T W Phi + prior)^-1 applied to each row."""
+        """(Phi^T W Phi + prior)^-1 applied to each row; 0 for coefficients that are not told."""
         rows = right.reshape(-1, right.shape[-1])
         solved = torch.zeros_like(rows)
         solved[:, self.told] = torch.cholesky_solve(rows[:, self.told].mT, self.factor).mT

@@ -1,7 +1,7 @@
 """Batched damped Gauss-Newton on manifolds (eq. 9 to 13).
 
-Each element of the batch is a problem of its own, with its own damping, acceptance and stop. A step is
-accepted on the robust cost, the sum of rho, never on the weighted squares.
+Each element of the batch is a problem of its own, with its own damping, acceptance and stop. A step
+is accepted on the robust cost, the sum of rho, never on the weighted squares.
 """
 
 from collections.abc import Callable
@@ -12,15 +12,18 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e6
+"""Bounds of lambda of eq. 12; an element that would need more is stuck."""
+
 
 class StopReason(IntEnum):
     """Why an element of the batch stopped."""
 
     CONVERGED = 0
     ITERATIONS = 1
-    """The iterations were used up while the cost still fell."""
+    """The iterations were used up."""
     STUCK = 2
-    """No damping gave a lower cost."""
+    """No damping gave a step that was accepted."""
     INVALID = 3
     """The cost or its derivatives were not finite at the start."""
 
@@ -87,62 +90,79 @@ def minimise(
         config: Iterations, damping and stop.
     """
     current = evaluate(state)
-    stop = torch.full(state.shape[:1], StopReason.ITERATIONS.value, device=state.device)
-    stop = torch.where(_is_finite(current), stop, StopReason.INVALID.value)
+    running = StopReason.ITERATIONS.value
+    stop = torch.where(_is_finite(current), running, StopReason.INVALID.value)
     damping = torch.full_like(current.cost, config.damping)
     iterations = torch.zeros_like(stop)
     for _ in range(config.iterations):
-        active = stop == StopReason.ITERATIONS
+        active = stop == running
         if not active.any():
             break
         step, length = _damped_step(current, damping)
-        trial_state = retract(state, torch.where(active[:, None], step, torch.zeros_like(step)))
+        trial_state = retract(state, torch.where(active[:, None], step, 0.0))
         trial = evaluate(trial_state)
         allowed = (1.0 + config.ripple) * current.cost
-        accept = active & _is_finite(trial) & (trial.cost <= allowed)
+        accept = active & length.isfinite() & _is_finite(trial) & (trial.cost <= allowed)
         state = torch.where(_broadcast(accept, state), trial_state, state)
         current = trial.where(accept, current)
-        damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=1e-9)
+        damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=LEAST_DAMPING)
         iterations = iterations + active
-        stop = torch.where(active & (damping > 1e6), StopReason.STUCK.value, stop)
-        short = active & (length < config.tolerance)
-        stop = torch.where(short, StopReason.CONVERGED.value, stop)
+        stop = torch.where(active & (damping > MOST_DAMPING), StopReason.STUCK.value, stop)
+        stop = torch.where(active & (length < config.tolerance), StopReason.CONVERGED.value, stop)
     return Solution(state=state, equations=current, stop=stop, iterations=iterations)
 
 
 def covariance(
     information: Float[Tensor, "*batch parameter parameter"],
 ) -> Float[Tensor, "*batch parameter parameter"]:
-    """Inverse of the information; NaN for elements where it is singular."""
+    """Inverse of the information; NaN for elements where it is singular or not finite."""
     scale = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).rsqrt()
     scaled = information * scale[..., :, None] * scale[..., None, :]
-    factor, failed = torch.linalg.cholesky_ex(scaled)
-    inverse = torch.cholesky_inverse(factor)
-    inverse = torch.where((failed == 0)[..., None, None], inverse, torch.nan)
+    factor, good = _factorised(scaled)
+    inverse = torch.where(good[..., None, None], torch.cholesky_inverse(factor), torch.nan)
     return inverse * scale[..., :, None] * scale[..., None, :]
 
 
+def _factorised(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """Cholesky factors, and where there is one; the identity for the other elements.
+
+    The diagonal of the matrices is about 1. A squared pivot is then the share of a parameter's
+    information that the others do not take; one of the size of rounding errors is none.
+    """
+    size = matrix.shape[-1]
+    factor, failed = torch.linalg.cholesky_ex(matrix)
+    pivot = factor.diagonal(dim1=-2, dim2=-1).square().amin(-1)
+    good = (failed == 0) & (pivot > 10 * size * torch.finfo(matrix.dtype).eps)
+    eye = torch.eye(size, dtype=matrix.dtype, device=matrix.device)
+    return torch.where(good[..., None, None], factor, eye), good
+
+
 def _damped_step(equations: NormalEquations, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """Solves (A^T W A + lambda diag) dx = gradient; the length is in standard deviations."""
+    """Solves (A^T W A + lambda diag) dx = gradient; 0 where that is not possible.
+
+    Returns:
+        The steps; what their lengths would be without damping, in standard deviations, infinite
+        where there is no step. (Damping makes any step short; that is not convergence.)
+    """
     information = equations.information
-    diagonal = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-12)
-    scale = diagonal.rsqrt()
+    scale = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-12).rsqrt()
     matrix = information * scale[:, :, None] * scale[:, None, :]
     matrix = matrix + torch.diag_embed(damping[:, None].expand_as(scale))
-    right = (equations.gradient * scale)[..., None]
-    factor, failed = torch.linalg.cholesky_ex(matrix)
-    good = (failed == 0) & matrix.isfinite().flatten(1).all(1) & right.isfinite().flatten(1).all(1)
-    eye = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-    factor = torch.where(good[:, None, None], factor, eye)
-    solved = torch.cholesky_solve(torch.where(good[:, None, None], right, 0.0), factor)
-    length = (right * solved).sum((1, 2)).clamp(min=0.0).sqrt()
-    return solved[..., 0] * scale, torch.where(good, length, torch.inf)
+    right = equations.gradient * scale
+    factor, good = _factorised(matrix)
+    good = good & right.isfinite().all(1)
+    right = torch.where(good[:, None], right, 0.0)
+    solved = torch.cholesky_solve(right[..., None], factor)[..., 0]
+    length = ((1.0 + damping) * (right * solved).sum(1).clamp(min=0.0)).sqrt()
+    return solved * scale, torch.where(good, length, torch.inf)
 
 
 def _is_finite(equations: NormalEquations) -> Tensor:
+    """Which elements have a cost and derivatives."""
     parts = (equations.cost[:, None], equations.information, equations.gradient)
     return torch.stack([part.isfinite().flatten(1).all(1) for part in parts]).all(0)
 
 
 def _broadcast(mask: Tensor, like: Tensor) -> Tensor:
+    """A mask of elements with axes of length 1 for the axes of a state."""
     return mask.view(-1, *[1] * (like.ndim - 1))

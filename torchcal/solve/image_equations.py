@@ -7,7 +7,7 @@ is the same as using the inverse of the full noise covariance for W of eq. 8.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.geometry import robust
@@ -31,6 +31,7 @@ class RobustImage:
     coefficients: Float[Tensor, " coefficient"]
     """Of the slowly varying part; empty without one."""
     system: FieldSystem | None
+    """Normal equations of the coefficients at ``precision``."""
 
 
 def robust_image(
@@ -53,51 +54,43 @@ def robust_image(
     residual, sigma = residual.double(), sigma.double()
     error, system, coefficients = residual, None, residual.new_zeros(0)
     precision = _precision(error, sigma, compared, cutoff)
-    for last in reversed(range(ROUNDS if field else 0)):
-        assert field is not None, "there are rounds only with a field"
-        system = field.system(precision)
-        coefficients = system.solve(field.project(precision * residual))
-        error = residual - field.expand(coefficients)
-        if last:  # the weights that were factorised last stay: the information is then definite
-            precision = _precision(error, sigma, compared, cutoff)
-    cost = torch.where(compared, robust.biweight_cost(error / sigma, cutoff), 0.0).sum()
+    cost = residual.new_zeros(())
     if field is not None:
-        cost = cost + 0.5 * field.precision * coefficients.square().sum()
+        for _ in range(ROUNDS):
+            # The precision that was factorised last stays: the information is then definite.
+            precision = _precision(error, sigma, compared, cutoff)
+            system = field.system(precision)
+            coefficients = system.solve(field.project(precision * residual))
+            error = residual - field.expand(coefficients)
+        cost = 0.5 * field.precision * coefficients.square().sum()
+    rho = torch.where(compared, robust.biweight_cost(error / sigma, cutoff), 0.0)
     return RobustImage(
         error=error,
         precision=precision,
-        cost=cost,
+        cost=cost + rho.sum(),
         field=field,
         coefficients=coefficients,
         system=system,
     )
 
 
-def _precision(error: Tensor, sigma: Tensor, compared: Tensor, cutoff: float) -> Tensor:
-    return torch.where(compared, robust.biweight(error / sigma, cutoff) / sigma.square(), 0.0)
-
-
-def reduced_jacobian(
-    image: RobustImage, jacobian: Float[Tensor, "h w parameter"]
-) -> Float[Tensor, "h w parameter"]:
-    """The Jacobian without what the slowly varying part could explain: (I - Phi M^-1 Phi^T W) A."""
-    columns = jacobian.double()
-    if image.field is None or image.system is None:
-        return columns
-    weighted = (columns * image.precision[..., None]).movedim(-1, 0)
-    absorbed = image.field.expand(image.system.solve(image.field.project(weighted)))
-    return columns - absorbed.movedim(0, -1)
-
-
 def normal_equations(
     image: RobustImage, jacobian: Float[Tensor, "h w parameter"]
 ) -> tuple[Float[Tensor, "parameter parameter"], Float[Tensor, " parameter"]]:
-    """A^T W A and A^T W r of eq. 12 with the full noise covariance."""
-    used = torch.nonzero(image.precision.flatten() > 0)[:, 0]
-    reduced = reduced_jacobian(image, jacobian).flatten(0, 1)[used]
-    weighted = reduced * image.precision.flatten()[used, None]
-    information = weighted.mT @ jacobian.flatten(0, 1)[used].double()
-    return 0.5 * (information + information.mT), weighted.mT @ image.error.flatten()[used]
+    """A^T W A and A^T W r of eq. 12, where W is the inverse of the full noise covariance.
+
+    Args:
+        image: The image's residuals.
+        jacobian: Derivative of the prediction (eq. 13); any finite number where not compared.
+    """
+    reduced, _ = _reduced(image, jacobian)
+    precision = image.precision.flatten()
+    used = torch.nonzero(precision > 0)[:, 0]
+    columns, precision = jacobian.flatten(0, 1)[used].double(), precision[used]
+    information = (reduced.flatten(0, 1)[used] * precision[:, None]).mT @ columns
+    # W r is the precision times the error, so here the Jacobian must not be reduced again.
+    gradient = columns.mT @ (precision * image.error.flatten()[used])
+    return 0.5 * (information + information.mT), gradient
 
 
 def blockwise_scatter(
@@ -105,14 +98,49 @@ def blockwise_scatter(
 ) -> Float[Tensor, "parameter parameter"]:
     """Sum over blocks of g g^T, g a block's part of the gradient: the middle of the sandwich.
 
-    For right noise it equals the information. Where neighbouring errors are alike in a way that the
-    noise model does not know, it is larger by as much as the estimate really scatters.
+    For right noise it is near the information. Where neighbouring errors are alike in a way that
+    the noise model does not know, it is larger by as much as the estimate really scatters.
+
+    Args:
+        image: The image's residuals.
+        jacobian: Derivative of the prediction (eq. 13); any finite number where not compared.
+        side: Of a block (pixels).
     """
-    share = reduced_jacobian(image, jacobian) * (image.precision * image.error)[..., None]
-    height, width = image.error.shape
-    rows = torch.arange(height, device=share.device) // side
-    columns = torch.arange(width, device=share.device) // side
-    block = rows[:, None] * (width // side + 1) + columns
+    reduced, absorbed = _reduced(image, jacobian)
+    share = reduced * (image.precision * image.error)[..., None]
+    block = _blocks(image.error, side)
     sums = share.new_zeros(int(block.max()) + 1, share.shape[-1])
     sums.index_add_(0, block.flatten(), share.flatten(0, 1))
+    if image.field is not None:
+        v, u = image.field.peaks()
+        pull = image.field.precision * image.coefficients
+        sums.index_add_(0, block[v[:, None], u].flatten(), absorbed * pull[:, None])
     return sums.mT @ sums
+
+
+def _reduced(image: RobustImage, jacobian: Tensor) -> tuple[Tensor, Tensor]:
+    """The Jacobian as A = R + Phi B, B being what the slowly varying part could explain of it.
+
+    B = M^-1 Phi^T W A, with the weights W of single pixels and M = Phi^T W Phi + prior.
+
+    Returns:
+        R (h w parameter); B (coefficient parameter).
+    """
+    columns = jacobian.double()
+    if image.field is None or image.system is None:
+        return columns, columns.new_zeros(0, columns.shape[-1])
+    weighted = (columns * image.precision[..., None]).movedim(-1, 0)
+    absorbed = image.system.solve(image.field.project(weighted))
+    return columns - image.field.expand(absorbed).movedim(0, -1), absorbed.mT
+
+
+def _blocks(like: Float[Tensor, "h w"], side: int) -> Int[Tensor, "h w"]:
+    """The number of the square block that each pixel lies in."""
+    height, width = like.shape
+    rows = torch.arange(height, device=like.device) // side
+    columns = torch.arange(width, device=like.device) // side
+    return rows[:, None] * (width // side + 1) + columns
+
+
+def _precision(error: Tensor, sigma: Tensor, compared: Tensor, cutoff: float) -> Tensor:
+    return torch.where(compared, robust.biweight(error / sigma, cutoff) / sigma.square(), 0.0)

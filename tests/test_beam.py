@@ -1,0 +1,38 @@
+"""The box of eq. 18 against a plain loop over pixels."""
+
+import pytest
+import torch
+
+from torchcal.render.beam import beam_area, box_sum
+
+
+def summed_by_loop(image: torch.Tensor, side: int) -> torch.Tensor:
+    half = side // 2
+    result = torch.zeros_like(image)
+    for v in range(image.shape[-2]):
+        for u in range(image.shape[-1]):
+            rows, columns = (
+                slice(max(v - half, 0), v + half + 1),
+                slice(max(u - half, 0), u + half + 1),
+            )
+            result[..., v, u] = image[..., rows, columns].sum((-2, -1))
+    return result
+
+
+@pytest.mark.parametrize("side", [1, 3, 5, 21])
+@pytest.mark.parametrize("batch", [(), (2,), (2, 3)])
+def test_the_box_is_clipped_at_the_border(rng: torch.Generator, side: int, batch: tuple[int, ...]):
+    image = torch.randn(*batch, 13, 17, generator=rng, dtype=torch.float64)
+    torch.testing.assert_close(box_sum(image, side), summed_by_loop(image, side))
+
+
+def test_a_box_of_one_pixel_changes_nothing(rng: torch.Generator):
+    image = torch.randn(5, 6, generator=rng, dtype=torch.float64)
+    assert torch.equal(box_sum(image, 1), image)
+
+
+def test_the_area_is_smaller_in_corners():
+    area = beam_area(7, 9, 5, torch.zeros((), dtype=torch.float64))
+    assert area[3, 4] == 25
+    assert area[0, 0] == 9
+    assert area[0, 4] == 15

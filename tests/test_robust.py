@@ -1,0 +1,80 @@
+import pytest
+import torch
+from torch.testing import assert_close
+
+from torchcal.geometry import robust
+
+C = 4.685
+RESIDUALS = torch.linspace(-7.0, 7.0, 281, dtype=torch.float64)
+
+
+def test_the_slope_of_the_cost_is_the_weighted_residual():
+    v = RESIDUALS.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(robust.biweight_cost(v, C).sum(), v)
+    assert_close(slope, RESIDUALS * robust.biweight(RESIDUALS, C))
+
+
+def test_weight_by_hand():
+    v = torch.tensor([0.0, 1.0, 2.0, 3.0], dtype=torch.float64)
+    expected = torch.tensor([1.0, 0.5625, 0.0, 0.0], dtype=torch.float64)
+    assert_close(robust.biweight(v, 2.0), expected, rtol=0, atol=0)
+
+
+def test_cost_is_flat_at_a_sixth_of_the_squared_cutoff_from_the_cutoff_on():
+    v = torch.tensor([C, -C, 10 * C, torch.inf], dtype=torch.float64)
+    assert_close(robust.biweight_cost(v, C), torch.full_like(v, C**2 / 6))
+    assert robust.biweight(v, C).eq(0).all()
+
+
+def test_cost_and_weight_do_not_jump_at_the_cutoff():
+    v = torch.tensor([C - 1e-7, C + 1e-7], dtype=torch.float64)
+    # The slopes are 0 there, so what is left is of second order.
+    assert float(robust.biweight_cost(v, C).diff().abs()) < 1e-12
+    assert float(robust.biweight(v, C).diff().abs()) < 1e-12
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_small_residuals_cost_half_their_square(dtype):
+    v = torch.tensor([1e-3, -1e-2, 0.0], dtype=dtype)
+    # The next term is v^2 / c^2 = 4.6e-6 of it.
+    assert_close(robust.biweight_cost(v, C), 0.5 * v.square(), rtol=1e-5, atol=0)
+
+
+def test_every_residual_may_have_a_cutoff_of_its_own():
+    v = torch.tensor([[1.0, 3.0], [1.0, 3.0]], dtype=torch.float64)
+    c = torch.tensor([[2.0], [4.0]], dtype=torch.float64)
+    for f in (robust.biweight, robust.biweight_cost):
+        assert_close(f(v, c), torch.stack([f(v[0], 2.0), f(v[1], 4.0)]), rtol=0, atol=0)
+
+
+def test_cutoff_is_three_medians():
+    v = torch.tensor([-9.0, 1.0, 2.0, -3.0, 8.0], dtype=torch.float64)
+    assert robust.cutoff(v) == 9.0
+    assert robust.cutoff(v, zeta=2.0) == 6.0
+
+
+def test_cutoff_is_not_below_the_least():
+    v = torch.tensor([0.1, 0.2], dtype=torch.float64)
+    assert robust.cutoff(v) == robust.EFFICIENT
+    assert robust.cutoff(v, least=0.0) == pytest.approx(0.3)
+    assert robust.cutoff(v[:0]) == robust.EFFICIENT
+
+
+def test_efficient_cutoff_keeps_95_percent_of_the_efficiency():
+    v = torch.linspace(-9.0, 9.0, 20001, dtype=torch.float64, requires_grad=True)
+    psi = v * robust.biweight(v, robust.EFFICIENT)
+    (slope,) = torch.autograd.grad(psi.sum(), v)
+    psi, v = psi.detach(), v.detach()
+    density = torch.exp(-0.5 * v.square())
+    density = density / density.sum()
+    efficiency = (slope * density).sum().square() / (psi.square() * density).sum()
+    assert float(efficiency) == pytest.approx(0.95, abs=1e-4)
+
+
+def test_scale_of_gaussian_residuals_is_their_standard_deviation(rng):
+    v = 3.0 * torch.randn(40_000, generator=rng, dtype=torch.float64)
+    v[:2000] = 1e6
+    # The median of 40,000 scatters by 0.6 %; 5 % of outliers shift it by 7 %.
+    assert robust.robust_scale(v[2000:]) == pytest.approx(3.0, rel=0.025)
+    assert robust.robust_scale(v) == pytest.approx(3.0 * 1.066, rel=0.025)
+    assert robust.robust_scale(v[:0]) == 1.0
