@@ -59,7 +59,8 @@ def turned(
     mesh: trimesh.Trimesh, xyz: tuple[float, ...], rpy: tuple[float, ...]
 ) -> trimesh.Trimesh:
     """A copy that is turned and then moved."""
-    T = trimesh.transformations.euler_matrix(*rpy)
+    roll, pitch, yaw = rpy
+    T = trimesh.transformations.euler_matrix(roll, pitch, yaw)
     T[:3, 3] = xyz
     return mesh.copy().apply_transform(T)
 

@@ -118,7 +118,7 @@ def nees(field: SmoothField, modelled: bool, steps: int, cutoff: float) -> float
     total = 0.0
     for seed in range(200):
         measured = noise(field, torch.Generator().manual_seed(seed))
-        estimate = torch.zeros(3, dtype=torch.float64)
+        estimate, information = torch.zeros(3).double(), torch.zeros(3, 3).double()
         for _ in range(steps):
             image = separate(measured - A @ estimate, field if modelled else None, cutoff)
             information, gradient = normal_equations(image, A)
@@ -127,7 +127,7 @@ def nees(field: SmoothField, modelled: bool, steps: int, cutoff: float) -> float
     return total / 200
 
 
-@pytest.mark.parametrize(("steps", "cutoff"), [(1, NO_CUTOFF), (4, robust.EFFICIENT)])
+@pytest.mark.parametrize(("steps", "cutoff"), [(1, NO_CUTOFF), (2, robust.EFFICIENT)])
 def test_errors_are_as_large_as_claimed_when_the_drift_is_modelled(steps, cutoff):
     # 600 squared errors scatter by sqrt(2 / 600) = 6 %.
     assert 0.85 < nees(drift_field(20, 24), True, steps, cutoff) < 1.15
@@ -151,11 +151,11 @@ def shares(field: SmoothField, modelled: bool) -> torch.Tensor:
 
 
 def test_blocks_scatter_as_the_information_says_for_right_noise():
-    # 16 % of the pixels' freedom is used up by the drift's coefficients, which lowers the scatter.
-    ratio = shares(drift_field(48, 48), True)
+    # Some of the pixels' freedom is used up by the drift's coefficients, which lowers the scatter.
+    ratio = shares(drift_field(36, 36), True)
     assert 0.7 < float(ratio.min())
     assert float(ratio.max()) < 1.2
 
 
 def test_blocks_scatter_more_than_the_information_says_for_wrong_noise():
-    assert float(shares(drift_field(48, 48), False).min()) > 3
+    assert float(shares(drift_field(36, 36), False).min()) > 3

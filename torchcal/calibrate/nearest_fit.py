@@ -1,6 +1,6 @@
 """Procedure 3.5 with points: nearest patches of the model, robust fit, new correspondences.
 
-It needs no overlap of the predicted with the measured image and so forgives starts that are far off.
+It needs no overlap of the predicted with the measured image and so forgives starts far off.
 """
 
 from dataclasses import dataclass
@@ -103,7 +103,9 @@ class NearestFit:
             distance, index = part.patches.nearest(placed)
             normal = part.patches.normals[index] @ T[:, :3, :3]
             along = ((placed - part.patches.points[index]) * part.patches.normals[index]).sum(-1)
-            pulled = torch.cat([normal, torch.linalg.cross(self.points[k].expand_as(normal), normal)], -1)
+            pulled = torch.cat(
+                [normal, torch.linalg.cross(self.points[k].expand_as(normal), normal)], -1
+            )
             closer = distance < best[:, k]
             best[:, k] = torch.where(closer, distance, best[:, k])
             error[:, k] = torch.where(closer, along, error[:, k])
@@ -115,7 +117,7 @@ class NearestFit:
 def _sampled_points(
     observation: Observation, count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Measured points of each frame, drawn without putting any back; padded where there are fewer."""
+    """Measured points of each frame, drawn without putting any back, and which are valid."""
     u, v = pixel_grid(
         observation.sensor.projection,
         dtype=observation.range.dtype,
@@ -150,7 +152,9 @@ def _visible_parts(
         face = visible_faces(vertices[None].float(), surface.faces, projection)[0]
         facets = Facets.of(vertices, surface.faces)
         ranges = facets.ranges(face, rays)
-        seen = (face >= 0) & (ranges >= observation.sensor.near) & (ranges <= observation.sensor.far)
+        seen = (
+            (face >= 0) & (ranges >= observation.sensor.near) & (ranges <= observation.sensor.far)
+        )
         points, normals = (ranges[..., None] * rays)[seen], facets.normal[face[seen]]
         normals = torch.nn.functional.normalize(normals, dim=-1)
         body = surface.vertex_body[surface.faces[face[seen], 0]]

@@ -1,4 +1,4 @@
-"""What the residuals themselves say about the noise: its independent and its slowly varying part."""
+"""What the residuals say about the noise: its independent and its slowly varying part."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

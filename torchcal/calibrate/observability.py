@@ -25,12 +25,14 @@ WORDS = {
 def unobservable_directions(
     covariance: Float[Tensor, "parameter parameter"], parameters: Parameters
 ) -> tuple[UnobservableDirection, ...]:
-    """Directions of the parameters of which the images leave more than half of the prior's sigma."""
+    """Directions in which the images leave more than half of the prior's sigma."""
     if not parameters.names:
         return ()
     ratio, direction = gaussian.left_over(covariance, parameters.prior_sigma)
     return tuple(
-        UnobservableDirection(words=_words(direction[:, i], parameters.names), vector=direction[:, i])
+        UnobservableDirection(
+            words=_words(direction[:, i], parameters.names), vector=direction[:, i]
+        )
         for i in range(len(ratio))
         if ratio[i] > LEFT
     )

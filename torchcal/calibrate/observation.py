@@ -10,6 +10,8 @@ from torch.nn import functional
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
 
+SMALLEST = 64
+"""Images are not cropped to fewer pixels than this along a side."""
 JUMP = 0.02
 """Share of the range: a larger step between neighbours is a depth jump, not a slope."""
 
@@ -45,6 +47,26 @@ def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
         range=torch.where(measured, ranges, 0.0),
         measured=measured,
         sigma=sigma,
+    )
+
+
+def cropped(observation: Observation) -> Observation:
+    """The part of the images that was measured in some frame.
+
+    Only for beams of a pixel: a wide beam's mean at the border depends on where the border is.
+    """
+    rows, columns = (observation.measured.any(0).any(axis).nonzero()[:, 0] for axis in (1, 0))
+    if observation.sensor.beam > 1 or min(rows[-1] - rows[0], columns[-1] - columns[0]) < SMALLEST:
+        return observation
+    top, bottom = int(rows[0]), int(rows[-1]) + 1
+    left, right = int(columns[0]), int(columns[-1]) + 1
+    projection = observation.sensor.projection.cropped(left, top, right - left, bottom - top)
+    part = (slice(None), slice(top, bottom), slice(left, right))
+    return Observation(
+        sensor=replace(observation.sensor, projection=projection),
+        range=observation.range[part],
+        measured=observation.measured[part],
+        sigma=observation.sigma[part],
     )
 
 

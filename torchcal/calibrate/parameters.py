@@ -1,8 +1,8 @@
 """The unknown parameter vector q (eq. 3): its named parts, what they move, and their prior.
 
-A state is ``(T_world_base, T_link_sensor)`` as ``(*batch, 2, 4, 4)``. Every step is a twist on the right
-of each. Without a robot the base is the first frame's sensor pose and the mount is the identity, so
-that T_k = T_1 exp(xi) T_1^-1 T_k falls out of the same product.
+A state is ``(T_world_base, T_link_sensor)`` as ``(*batch, 2, 4, 4)``. Every step is a twist on the
+right of each. Without a robot the base is the first frame's sensor pose and the mount is the
+identity, so that T_k = T_1 exp(xi) T_1^-1 T_k falls out of the same product.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class Parameters:
         return state @ se3.exp(twists)
 
     def difference(
-        self, state: Float[Tensor, "*batch 2 4 4"], origin: Float[Tensor, "*batch 2 4 4"]
+        self, state: Float[Tensor, "*#batch 2 4 4"], origin: Float[Tensor, "*#batch 2 4 4"]
     ) -> Float[Tensor, "*batch parameter"]:
         """The parameters that lead from one state to another."""
         twists = se3.log(se3.inverse(origin) @ state).flatten(-2)
@@ -90,7 +90,7 @@ class Parameters:
     def motion(
         self, state: Float[Tensor, "*batch 2 4 4"]
     ) -> Float[Tensor, "*batch frame body 6 parameter"]:
-        """How each body moves in the sensor's frame: twist on the left per unit of each parameter."""
+        """How each body moves in the sensor's frame: left twist per unit of each parameter."""
         world, robot = self._base_motion(state)
         mount = -torch.eye(6, dtype=state.dtype, device=state.device).expand_as(world)
         motions = [torch.cat([base, mount], -1) @ self.columns for base in (world, robot)]

@@ -3,20 +3,21 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from torchcal.calibrate.compare import Belief, compare, residual_scale
+from torchcal.calibrate.compare import Belief, compare
 from torchcal.calibrate.estimate import (
     Choice,
     belief_after,
     choose_start,
     estimate_of,
     fit_pixels,
+    fit_rest,
     nominal_belief,
 )
 from torchcal.calibrate.parameters import Parameters
@@ -58,10 +59,10 @@ def calibrate(
         with stages.stage("set aside what differs"):
             differing = _differing_pixels(job, scene, parameters, belief_after(refined))
         with stages.stage("fit the rest"):
-            refined = fit_pixels(job, scene, parameters, refined.state, differing)
+            refined = fit_rest(job, scene, parameters, refined, differing)
             belief = belief_after(refined)
     with stages.stage("compare"):
-        belief, comparisons = _compared(job, scene, parameters, belief)
+        belief, comparisons = compare(job, scene, parameters, belief)
     result = estimate_of(parameters, belief, choice, comparisons)
     with stages.stage("update"):
         update = propose_update(
@@ -94,23 +95,11 @@ def _no_choice(parameters: Parameters) -> Choice:
     return Choice(state=parameters.nominal, score=0.0, rivals=())
 
 
-def _compared(
-    job: Job, scene: Scene, parameters: Parameters, belief: Belief
-) -> tuple[Belief, tuple[FrameComparison, ...]]:
-    """The comparison, with a sigma that is no smaller than the residuals show."""
-    comparisons = compare(job, scene, parameters, belief)
-    scale = residual_scale(comparisons)
-    if scale > 1.0:
-        belief = replace(belief, sigma_scale=scale)
-        comparisons = compare(job, scene, parameters, belief)
-    return belief, comparisons
-
-
 def _differing_pixels(
     job: Job, scene: Scene, parameters: Parameters, belief: Belief
 ) -> Bool[Tensor, "frame h w"]:
     """Pixels in or beside regions that differ from the model: their beams mix both surfaces."""
-    belief, comparisons = _compared(job, scene, parameters, belief)
+    belief, comparisons = compare(job, scene, parameters, belief)
     return torch.stack([_differing(job, frame, belief.drift_pixels) for frame in comparisons])
 
 

@@ -1,4 +1,4 @@
-"""The measurement equation on every pixel (eq. 2) as normal equations for the solver (eq. 9 to 16)."""
+"""The measurement equation on every pixel (eq. 2) as normal equations (eq. 9 to 16)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -52,9 +52,9 @@ class RangeFit:
         """Normal equations of every state: all frames and the prior."""
         elements = [self._evaluate_one(state) for state in states]
         return NormalEquations(
-            cost=torch.stack([e.cost for e in elements]),
-            information=torch.stack([e.information for e in elements]),
-            gradient=torch.stack([e.gradient for e in elements]),
+            cost=torch.cat([e.cost for e in elements]),
+            information=torch.cat([e.information for e in elements]),
+            gradient=torch.cat([e.gradient for e in elements]),
         )
 
     def residuals(self, state: Float[Tensor, "2 4 4"]) -> Iterator[FrameResidual]:
@@ -98,9 +98,9 @@ class RangeFit:
         precision = self.parameters.prior_sigma.double().square().reciprocal()
         error = self.parameters.difference(state, self.parameters.nominal).double()
         return NormalEquations(
-            cost=0.5 * (precision * error.square()).sum(),
-            information=torch.diag(precision),
-            gradient=-precision * error,
+            cost=0.5 * (precision * error.square()).sum()[None],
+            information=torch.diag(precision)[None],
+            gradient=(-precision * error)[None],
         )
 
     def separate(self, frame: FrameResidual) -> RobustImage:

@@ -1,4 +1,4 @@
-"""From a start to the estimate on every pixel: coarse to fine, noise model, final fit, covariance."""
+"""From a start to the estimate on every pixel: coarse to fine, noise model, covariance."""
 
 import itertools
 from collections.abc import Iterator
@@ -25,6 +25,10 @@ FINE_PIXELS = 1_600_000
 """Pixels of all frames together in the final fit of a sharp sensor; more are averaged in blocks."""
 RIPPLE = 0.005
 """Share of the cost that pixels changing from face to face may add in an accepted step."""
+TOLERANCE = 0.1
+"""Shortest step of the final fits, in standard deviations: less cannot be seen in the result."""
+LONGEST = 10.0
+"""Most that a step is lengthened: real models are themselves noisy, and so are their slopes."""
 BLOCK = 24
 """Side (pixels) of the blocks whose gradients are taken as independent; longer with drift."""
 
@@ -39,6 +43,8 @@ class Refined:
     factor: int
     """Block size of the resolution: pixels of the image for one of the fit."""
     solution: Solution
+    curvature: float
+    """The least ``Solution.curvature`` of the fits that led to the state."""
 
 
 def coarse_factor(observation: Observation) -> int:
@@ -61,7 +67,7 @@ def coarse_fit(
     parameters: Parameters,
     states: Float[Tensor, "candidate 2 4 4"],
 ) -> Solution:
-    """First fits of all candidates on a coarse image, at one cut-off (eq. 16) so that costs compare."""
+    """First fits of all candidates on coarse images, at one cut-off so that costs compare."""
     fit = RangeFit(
         observation=observation,
         surface=surface,
@@ -104,11 +110,19 @@ def fine_fit(
         drift=None,
     )
     fit = with_noise(fit, state, factor)
-    config = GaussNewtonConfig(iterations=iterations, ripple=RIPPLE, damping=1e-6)
-    solution = minimise(fit.evaluate, parameters.retract, state[None], config)
-    fit = with_noise(fit, solution.state[0], factor)
-    solution = minimise(fit.evaluate, parameters.retract, solution.state, config)
-    return Refined(state=solution.state[0], fit=fit, factor=factor, solution=solution)
+    config = GaussNewtonConfig(
+        iterations=iterations, ripple=RIPPLE, damping=1e-6, longest=LONGEST, tolerance=TOLERANCE
+    )
+    first = minimise(fit.evaluate, parameters.retract, state[None], config)
+    fit = with_noise(fit, first.state[0], factor)
+    last = minimise(fit.evaluate, parameters.retract, first.state, config)
+    return Refined(
+        state=last.state[0],
+        fit=fit,
+        factor=factor,
+        solution=last,
+        curvature=float(torch.minimum(first.curvature, last.curvature)),
+    )
 
 
 def with_noise(fit: RangeFit, state: Float[Tensor, "2 4 4"], factor: int) -> RangeFit:
@@ -156,7 +170,7 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
     """P of eq. 3 after the fit: the information, divided by how much blocks of pixels scatter more.
 
     The gradients of blocks of pixels scatter as the information says if the noise model is right.
-    Their excess is what neighbouring errors share beyond it; the data's information is divided by it.
+    Their excess is what neighbouring errors share beyond it: the information is divided by it.
     """
     fit = refined.fit
     scatter = information = 0.0
@@ -167,4 +181,5 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
     prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
     information = refined.solution.equations.information[0] - prior
     excess = torch.linalg.lstsq(information, scatter).solution.diagonal().mean()
-    return covariance(prior + information / excess.clamp(min=1.0))
+    share = refined.curvature**2 / excess.clamp(min=1.0)
+    return covariance(prior + share * information)

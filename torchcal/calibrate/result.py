@@ -61,7 +61,7 @@ class Estimate:
     message: str
     """One sentence for a person."""
     names: tuple[str, ...]
-    """``base.x`` .. ``base.rz``, ``mount.x`` ..: the order of ``covariance``; held axes are left out."""
+    """``base.x`` .. ``mount.rz``: the order of ``covariance``; held axes are left out."""
     covariance: Float[Tensor, "parameter parameter"]
     """P of eq. 3 (m, rad) of the twists on the right of the estimated poses."""
     T_world_base: Float[Tensor, "4 4"]

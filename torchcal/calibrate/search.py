@@ -1,7 +1,7 @@
 """Where to start: hypotheses drawn from the prior, aligned with the nearest patches of the model.
 
-Section 3.5 starts from the initial values and, where no good estimate follows, from random ones. Here
-all starts run at once; the ones that end apart and explain the points best go on to the images.
+Section 3.5 starts from the initial values and, where no good estimate follows, from random ones.
+Here all starts run at once; those that end apart and explain the points best go on to the images.
 """
 
 import torch
@@ -18,7 +18,7 @@ STARTS = 32
 """The nominal state and draws from the prior."""
 KEPT = 4
 """States that are looked at again after the first alignment."""
-POINTS = 3000
+POINTS = 2000
 """Measured points in all frames together."""
 APART = 0.1
 """States that differ by less than this many prior sigmas in every parameter count as one."""
@@ -41,18 +41,20 @@ def find_candidates(
         return minimise(fit.evaluate, parameters.retract, starts, config)
 
     first = aligned(parameters.nominal, _starts(parameters, generator))
-    again = [aligned(state, state[None]) for state in distinct(first, parameters, KEPT)]
+    starts = distinct(first.state, first.equations.cost, parameters)
+    again = [aligned(state, state[None]) for state in starts]
     states = torch.cat([solution.state for solution in again])
     costs = torch.cat([solution.equations.cost for solution in again])
-    return states[costs.nan_to_num(torch.inf).argsort()]
+    return torch.stack(distinct(states, costs, parameters))
 
 
-def distinct(solution: Solution, parameters: Parameters, most: int) -> list[Tensor]:
-    """The best states of a batch that are apart from each other."""
+def distinct(
+    states: Float[Tensor, "state 2 4 4"], costs: Float[Tensor, " state"], parameters: Parameters
+) -> list[Tensor]:
+    """The best ``KEPT`` states that are apart from each other, the best first."""
     kept: list[Tensor] = []
-    for i in solution.equations.cost.nan_to_num(torch.inf).argsort().tolist():
-        state = solution.state[i]
-        if len(kept) < most and all(are_apart(state, other, parameters) for other in kept):
+    for state in states[costs.nan_to_num(torch.inf).argsort()]:
+        if len(kept) < KEPT and all(are_apart(state, other, parameters) for other in kept):
             kept.append(state)
     return kept
 

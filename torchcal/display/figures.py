@@ -66,8 +66,7 @@ def hybrid_figure(comparison: FrameComparison) -> Figure:
     _headline(
         figure,
         f"Hybrid view of frame {comparison.name}",
-        "The shaded model where it can be trusted; outlined, in the colours of the scale, what was "
-        "measured instead.",
+        "The shaded model where it can be trusted; elsewhere, outlined, what was measured instead.",
     )
     canvas.show(canvas.axes_at(figure, box), image)
     _range_bar(figure, box, hybrid_limits(comparison), "measured (m)")

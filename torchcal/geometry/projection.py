@@ -52,6 +52,10 @@ class Projection(Protocol):
         """The same optics with up to ``margin`` more pixels on each side."""
         ...
 
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Projection":
+        """The part of the image whose first pixel is (``left``, ``top``)."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Pinhole:
@@ -111,6 +115,11 @@ class Pinhole:
             cx=self.cx + margin,
             cy=self.cy + margin,
         )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Pinhole":
+        """The part of the image whose first pixel is (``left``, ``top``)."""
+        cx, cy = self.cx - left, self.cy - top
+        return replace(self, width=width, height=height, cx=cx, cy=cy)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -195,6 +204,17 @@ class Spherical:
             height=self.height + 2 * ends,
             azimuth=(self.azimuth[0] - across, self.azimuth[1] + across),
             elevation=(self.elevation[0] - up, self.elevation[1] + up),
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Spherical":
+        """The part of the image whose first pixel is (``left``, ``top``)."""
+        az, el = self.azimuth_step, self.elevation_step
+        az0, el0 = self.azimuth[0] + left * az, self.elevation[0] + top * el
+        return Spherical(
+            width=width,
+            height=height,
+            azimuth=(az0, az0 + (width - 1) * az),
+            elevation=(el0, el0 + (height - 1) * el),
         )
 
 

@@ -36,9 +36,9 @@ class Patches:
         Infinite and 0 for queries that are not finite, and for all where there is no patch.
         """
         flat = queries.reshape(-1, 3).cpu().numpy()
-        finite = np.isfinite(flat).all(1, keepdims=True)
-        distance, index = self.tree.query(np.where(finite, flat, 0.0), workers=-1)
-        distance = np.where(finite[:, 0], distance, np.inf)
+        missing = ~np.isfinite(flat)
+        distance, index = self.tree.query(np.where(missing, 0.0, flat), workers=-1)
+        distance = np.where(missing.any(1), np.inf, distance)
         index = np.where(np.isfinite(distance), index, 0)
         shape = queries.shape[:-1]
         return (

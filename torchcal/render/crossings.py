@@ -1,9 +1,9 @@
 """How much of a pixel lies beyond a silhouette.
 
 Between the centres of two neighbouring pixels the surface changes at the silhouette and not
-half-way, as the hard z-buffer says, so the strip between the two moves from one surface to the other.
-For a straight edge this is the exact area in every row; it is symmetric about the edge and leaves no
-seam inside a face.
+half-way, as the hard z-buffer says, so the strip between the two moves from one surface to the
+other. For a straight edge this is the exact area in every row; it is symmetric about the edge and
+leaves no seam inside a face.
 """
 
 from dataclasses import dataclass, replace
@@ -16,6 +16,9 @@ from torchcal.geometry.projection import Projection
 from torchcal.model.scene import Surface
 from torchcal.render.cuts import Cuts, EdgePlanes, find_cuts, newton_step
 from torchcal.render.facets import Facets
+
+ON_CENTRE = 1e-3
+"""Pixels from a centre within which rounding may have put it on the other side of an edge."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,6 +39,8 @@ class Crossings:
     """Derivative of ``gap`` to the motion of the edge, a twist in the sensor's frame (m, rad)."""
     body: Int[Tensor, " crossing"]
     """The body that the edge belongs to."""
+    sign: Int[Tensor, " crossing"]
+    """1; -1 where the strip is taken from the other face: it is too thin to meet a centre."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,6 +50,9 @@ class _Sides:
     near_pixel: Int[Tensor, "cut 2"]
     """The pixel (u, v) on the silhouette's own side."""
     near_face: Int[Tensor, " cut"]
+    """The face that ends at the cut."""
+    near_pixel_face: Int[Tensor, " cut"]
+    """The face at the near pixel's centre: another one where the part up to it is thin."""
     far_pixel: Int[Tensor, "cut 2"]
     far_face: Int[Tensor, " cut"]
 
@@ -52,6 +60,7 @@ class _Sides:
         return _Sides(
             near_pixel=self.near_pixel[keep],
             near_face=self.near_face[keep],
+            near_pixel_face=self.near_pixel_face[keep],
             far_pixel=self.far_pixel[keep],
             far_face=self.far_face[keep],
         )
@@ -75,8 +84,10 @@ def find_crossings(
     """
     cuts = find_cuts(vertices.detach(), surface, projection)
     sides = _sides(cuts, vertices.detach(), surface, face_image, projection)
-    seen = _is_seen(cuts, sides, vertices.detach(), surface, facets, projection)
-    cuts, sides = cuts.select(seen), sides.select(seen)
+    whole, thin = _seen(cuts, sides, vertices.detach(), surface, facets, projection)
+    front = _front_faces(cuts, sides, surface, facets, projection)
+    sides = replace(sides, near_face=torch.where(thin, front, sides.near_face))
+    cuts, sides = cuts.select(whole | thin), sides.select(whole | thin)
     outermost = _outermost(cuts, sides, face_image)
     cuts, sides = cuts.select(outermost), sides.select(outermost)
     planes = EdgePlanes.of(cuts, vertices, surface)
@@ -93,37 +104,56 @@ def _sides(
     high = low + cuts.axis
     normal = EdgePlanes.of(cuts, vertices, surface).normal
     own_side = (normal * vertices[cuts.apex]).sum(-1)
-    low_side = (normal * projection.rays(*low.to(vertices).unbind(-1))).sum(-1)
-    near_is_low = (own_side.sign() == low_side.sign())[:, None]
+    # The lower pixel's centre may lie on the edge, the higher one's does not.
+    high_side = (normal * projection.rays(*high.to(vertices).unbind(-1))).sum(-1)
+    near_is_low = (own_side.sign() != high_side.sign())[:, None]
     near, far = torch.where(near_is_low, low, high), torch.where(near_is_low, high, low)
     return _Sides(
         near_pixel=near,
         near_face=face_image[near[:, 1], near[:, 0]],
+        near_pixel_face=face_image[near[:, 1], near[:, 0]],
         far_pixel=far,
         far_face=face_image[far[:, 1], far[:, 0]],
     )
 
 
-def _is_seen(
+def _seen(
     cuts: Cuts,
     sides: _Sides,
     vertices: Tensor,
     surface: Surface,
     facets: Facets,
     projection: Projection,
-) -> Tensor:
-    """Whether the near side's surface ends at the edge and the far side's lies behind it.
+) -> tuple[Tensor, Tensor]:
+    """Whether the near side's surface ends at the edge; whether both sides' lie behind it.
 
-    The edge must be nearer to the near side's surface than to the far side's, which asks for no
-    tolerance in metres.
+    Where a surface ends, the edge is nearer to it than to the far side's, which asks for no
+    tolerance in metres. Where both lie behind, the edge belongs to a part that is too thin to meet
+    a pixel's centre there.
     """
     ray = projection.rays(*cuts.place.unbind(-1))
     edge_range = projection.ranges(_points_on_edges(EdgePlanes.of(cuts, vertices, surface), ray))
     near = facets.ranges(sides.near_face, ray).detach()
+    near = torch.where(sides.near_face < 0, torch.inf, near)
     far = facets.ranges(sides.far_face, ray).detach()
     jump = torch.where(sides.far_face < 0, torch.inf, far) - edge_range
-    close = (near - edge_range).abs() < torch.minimum(0.5 * jump, 0.1 * edge_range)
-    return (sides.near_face >= 0) & (jump > 0) & close
+    tolerance = torch.minimum(0.5 * jump, 0.1 * edge_range)
+    whole = (near - edge_range).abs() < tolerance
+    # At a centre rounding decides on which side it lies: nothing there is thin.
+    gap = ((cuts.place - sides.near_pixel) * cuts.axis).sum(-1).abs()
+    thin = (near - edge_range >= tolerance) & (gap > ON_CENTRE) & (gap < 1 - ON_CENTRE)
+    return whole & (jump > 0), thin & (jump > 0)
+
+
+def _front_faces(
+    cuts: Cuts, sides: _Sides, surface: Surface, facets: Facets, projection: Projection
+) -> Tensor:
+    """The one of each edge's two faces that is seen: it is the nearer one beside the edge."""
+    place = cuts.place + 0.25 * (sides.near_pixel - cuts.place)
+    ray = projection.rays(place[:, 0], place[:, 1])
+    first, second = surface.edge_faces[cuts.edge].unbind(-1)
+    nearer = facets.ranges(second, ray) < facets.ranges(first, ray)
+    return torch.where((second >= 0) & nearer, second, first)
 
 
 def _outermost(cuts: Cuts, sides: _Sides, face_image: Tensor) -> Tensor:
@@ -170,15 +200,19 @@ def _crossings(
     in_near = to_near < 0.5
     pixel = torch.where(in_near[:, None], sides.near_pixel, sides.far_pixel)
     step = torch.where(in_near[:, None], sides.far_pixel, sides.near_pixel) - pixel
-    sign = (step * cuts.axis).sum(-1)
+    forward = (step * cuts.axis).sum(-1)
+    thin = sides.near_face != sides.near_pixel_face
+    own_face = torch.where(in_near, sides.near_pixel_face, sides.far_face)
+    reaching = torch.where(in_near & ~thin, sides.far_face, sides.near_face)
     return Crossings(
         pixel=pixel,
         step=step,
-        own_face=torch.where(in_near, sides.near_face, sides.far_face),
-        other_face=torch.where(in_near, sides.far_face, sides.near_face),
+        own_face=own_face,
+        other_face=reaching,
         gap=((place - pixel) * step).sum(-1),
-        gap_derivative=sign[:, None] * place_derivative,
+        gap_derivative=forward[:, None] * place_derivative,
         body=surface.vertex_body[surface.edges[cuts.edge, 0]],
+        sign=torch.where(in_near & thin, -1, 1),
     )
 
 

@@ -115,17 +115,18 @@ def soften(
     """Gives the strips beyond the silhouettes to the surfaces that are seen there.
 
     In the row of a crossing the pixel's own face keeps the part from -1/2 to ``gap``, the other
-    face takes the strip from there to 1/2. Each part counts with the range in its middle: no plane is
-    extended beyond its silhouette, where one that is seen edge-on would be anywhere.
+    face takes the strip from there to 1/2. Each part counts with the range in its middle: no plane
+    is extended beyond its silhouette, where one that is seen edge-on would be anywhere.
     """
     gap, own, other = crossings.gap, crossings.own_face, crossings.other_face
     kept_width, strip_width = 0.5 + gap, 0.5 - gap
     kept = _part(own, 0.5 * (gap - 0.5), crossings, facets, projection, motion)
     strip = _part(other, 0.5 * (gap + 0.5), crossings, facets, projection, motion)
     index = crossings.pixel[:, 1] * projection.width + crossings.pixel[:, 0]
-    gained = (other >= 0).to(gap) - (own >= 0).to(gap)
+    gained = crossings.sign * ((other >= 0).to(gap) - (own >= 0).to(gap))
     change = kept_width * kept.range + strip_width * strip.range - layer.total.flatten()[index]
-    total, area = _add(layer.total, index, change), _add(layer.area, index, strip_width * gained)
+    total = _add(layer.total, index, crossings.sign * change)
+    area = _add(layer.area, index, strip_width * gained)
     if motion is None:
         return Layer(
             total=total,
@@ -143,7 +144,7 @@ def soften(
     return Layer(
         total=total,
         area=area,
-        total_derivative=_add(layer.total_derivative, index, derivative),
+        total_derivative=_add(layer.total_derivative, index, crossings.sign * derivative),
         area_derivative=_add(layer.area_derivative, index, (-gained[:, None] * gap_derivative).mT),
     )
 

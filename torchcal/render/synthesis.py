@@ -22,7 +22,6 @@ from torchcal.render.facets import Facets
 from torchcal.render.layer import BodyMotion, Layer, hard_layer, soften
 from torchcal.render.visibility import visible_faces
 
-
 MET = 1e-3
 """Share of the beam that must meet the model before its mean is a prediction."""
 
@@ -124,7 +123,8 @@ def _inside(wide: Projection, narrow: Projection) -> tuple[slice, slice]:
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:
     """Eq. 17 and 18: the mean over the part of the box inside the image that has a return."""
     total, area = box_sum(layer.total, beam), box_sum(layer.area, beam)
-    inside = beam_area(*face.shape, beam, total)
+    height, width = face.shape
+    inside = beam_area(height, width, beam, total)
     met = area > MET * inside
     safe = torch.where(met, area, torch.ones_like(area))
     ranges = total / safe

@@ -61,7 +61,7 @@ def _visible_faces_of_view(vertices: Tensor, faces: Tensor, projection: Projecti
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _FaceTest:
-    """Ray against triangle by homogeneous edge functions: right where faces pass the sensor, too."""
+    """Ray against triangle by homogeneous edge functions; faces may pass behind the sensor."""
 
     projection: Projection
     facets: Facets

@@ -32,11 +32,11 @@ class StopReason(IntEnum):
 class NormalEquations:
     """A batch of linearised problems: cost and its quadratic model in the step."""
 
-    cost: Float[Tensor, " batch"]
+    cost: Float[Tensor, "*batch"]
     """The sum of rho; infinite where the state is impossible."""
-    information: Float[Tensor, "batch parameter parameter"]
+    information: Float[Tensor, "*batch parameter parameter"]
     """A^T W A of eq. 12."""
-    gradient: Float[Tensor, "batch parameter"]
+    gradient: Float[Tensor, "*batch parameter"]
     """A^T W (y - f): the direction in which the cost falls."""
 
     def where(self, accept: Tensor, other: "NormalEquations") -> "NormalEquations":
@@ -61,6 +61,9 @@ class GaussNewtonConfig:
     ripple: float = 0.0
     """Share of the cost by which an accepted step may raise it: pixels and small faces put ripples
     on the cost of an image that say nothing about where its minimum is."""
+    longest: float = 1.0
+    """Most that a step is lengthened where the gradient falls more slowly than the information says,
+    as it does where the derivatives are themselves noisy."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,6 +76,12 @@ class Solution:
     stop: Int[Tensor, " batch"]
     """One ``StopReason`` each."""
     iterations: Int[Tensor, " batch"]
+    curvature: Float[Tensor, " batch"]
+    """Change of the gradient along the steps over what the information said, at most 1.
+
+    Noise in the derivatives adds to the information and not to the curvature of the cost. What the
+    data really tell is then less than the information says, by the square of this share.
+    """
 
 
 def minimise(
@@ -94,22 +103,45 @@ def minimise(
     stop = torch.where(_is_finite(current), running, StopReason.INVALID.value)
     damping = torch.full_like(current.cost, config.damping)
     iterations = torch.zeros_like(stop)
+    slopes = torch.zeros_like(current.cost).expand(2, -1)
     for _ in range(config.iterations):
         active = stop == running
         if not active.any():
             break
         step, length = _damped_step(current, damping)
+        step = step / _curvature(slopes).clamp(min=1.0 / config.longest)[:, None]
         trial_state = retract(state, torch.where(active[:, None], step, 0.0))
         trial = evaluate(trial_state)
         allowed = (1.0 + config.ripple) * current.cost
         accept = active & length.isfinite() & _is_finite(trial) & (trial.cost <= allowed)
+        seen = accept & (length > 1.0)  # shorter steps see the ripple and not the curvature
+        slopes = slopes + torch.where(seen, _slopes(current, trial, step), 0.0)
         state = torch.where(_broadcast(accept, state), trial_state, state)
         current = trial.where(accept, current)
         damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=LEAST_DAMPING)
         iterations = iterations + active
         stop = torch.where(active & (damping > MOST_DAMPING), StopReason.STUCK.value, stop)
         stop = torch.where(active & (length < config.tolerance), StopReason.CONVERGED.value, stop)
-    return Solution(state=state, equations=current, stop=stop, iterations=iterations)
+    return Solution(
+        state=state,
+        equations=current,
+        stop=stop,
+        iterations=iterations,
+        curvature=_curvature(slopes),
+    )
+
+
+def _slopes(before: NormalEquations, after: NormalEquations, step: Tensor) -> Tensor:
+    """How much the gradient fell along each step, and how much the information says it should."""
+    fell = ((before.gradient - after.gradient) * step).sum(-1)
+    expected = ((before.information @ step[..., None])[..., 0] * step).sum(-1)
+    return torch.stack([fell, expected])
+
+
+def _curvature(slopes: Tensor) -> Tensor:
+    """The share of the expected fall that was seen; 1 before anything was seen."""
+    seen = slopes[1] > 0
+    return torch.where(seen, slopes[0] / torch.where(seen, slopes[1], 1.0), 1.0).clamp(0.02, 1.0)
 
 
 def covariance(

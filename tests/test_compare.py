@@ -1,0 +1,160 @@
+"""Eq. 1, 4 and 5 against tables, hand calculations and counted false alarms."""
+
+from dataclasses import replace
+
+import pytest
+import recordings
+import scenes
+import torch
+from recordings import CAMERA, EYE
+
+from torchcal.calibrate.compare import Belief, classify, compare
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.result import FrameComparison, PixelClass
+from torchcal.geometry.projection import pixel_grid
+from torchcal.model.job import Job
+
+ALPHA = 3.0
+NAN = float("nan")
+WALL = 2.5
+
+
+def label(measured: float, predicted: float, sigma: float = 0.01, usable: bool = True) -> int:
+    images = (torch.full((1, 1), value) for value in (measured, predicted, sigma))
+    return int(classify(*images, torch.full((1, 1), usable), ALPHA))
+
+
+@pytest.mark.parametrize(
+    ("measured", "predicted", "expected"),
+    [
+        (2.0, 2.0, PixelClass.AGREES),
+        (2.0 + 0.029, 2.0, PixelClass.AGREES),
+        (2.0 - 0.029, 2.0, PixelClass.AGREES),
+        (2.0 - 0.031, 2.0, PixelClass.NEARER),
+        (2.0 + 0.031, 2.0, PixelClass.FARTHER),
+        (NAN, 2.0, PixelClass.MISSING),
+        (2.0, NAN, PixelClass.UNMODELLED),
+        (NAN, NAN, PixelClass.NOT_COMPARED),
+    ],
+)
+def test_class_of_a_pixel(measured, predicted, expected):
+    assert label(measured, predicted) == expected
+    assert label(measured, predicted, usable=False) == PixelClass.NOT_COMPARED
+
+
+def test_a_larger_sigma_forgives_more():
+    assert label(2.05, 2.0, sigma=0.01) == PixelClass.FARTHER
+    assert label(2.05, 2.0, sigma=0.02) == PixelClass.AGREES
+
+
+def wall_job(sigma: float = 0.02, frames: int = 1) -> Job:
+    """A wall across the axis, ``WALL`` m away; every frame has noise of its own."""
+    sensor = recordings.sensor(CAMERA, sigma=sigma)
+    ranges = [recordings.record([scenes.wall(WALL)], EYE, sensor, seed) for seed in range(frames)]
+    job = recordings.hand_held(sensor, [EYE], error=torch.zeros(6, dtype=torch.float64))
+    return replace(
+        job,
+        world=recordings.world_of({"wall": scenes.wall(WALL)}),
+        frames=tuple(recordings.frame_of(each, T_world_sensor=EYE) for each in ranges),
+    )
+
+
+def believed_and_compared(
+    job: Job, covariance: torch.Tensor, **belief: float
+) -> tuple[Belief, tuple[FrameComparison, ...]]:
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    settings = {"drift_sigma": 0.0, "drift_pixels": 0.0, **belief}
+    known = Belief(state=parameters.nominal, covariance=covariance, **settings)
+    return compare(job, scene, parameters, known)
+
+
+def compared(job: Job, covariance: torch.Tensor, **belief: float) -> tuple[FrameComparison, ...]:
+    return believed_and_compared(job, covariance, **belief)[1]
+
+
+def certain() -> torch.Tensor:
+    return torch.zeros(6, 6, dtype=torch.float64)
+
+
+def test_false_alarms_are_as_rare_as_three_sigma_says():
+    room = {"room": recordings.room()["room"]}
+    error = torch.zeros(6, dtype=torch.float64)
+    job = recordings.hand_held(recordings.sensor(sigma=0.02), [EYE] * 12, error=error, real=room)
+    job = replace(job, world=recordings.world_of(room))
+    labels = torch.stack([frame.label for frame in compared(job, certain())])
+    assert labels.numel() == 12 * 64 * 48
+    alarms = int((labels != PixelClass.AGREES).sum())
+    # 36,864 pixels at 0.27 %: 99.5 and a standard deviation of 10; four of them.
+    assert 60 <= alarms <= 140
+
+
+def test_sigma_of_a_certain_pose_is_the_sensors():
+    (frame,) = compared(wall_job(sigma=0.02), certain())
+    torch.testing.assert_close(frame.sigma, torch.full((48, 64), 0.02), rtol=1e-5, atol=0)
+
+
+def test_sigma_grows_with_the_pose_as_eq_4_says():
+    sigmas = torch.tensor([0.3, 0.2, 0.01, 0.02, 0.03, 0.5], dtype=torch.float64)
+    (frame,) = compared(wall_job(sigma=0.02), torch.diag(sigmas.square()))
+    u, v = pixel_grid(CAMERA, dtype=torch.float64, device=torch.device("cpu"))
+    x, y, _ = CAMERA.rays(u, v).unbind(-1)
+    # A turn w moves the plane's normal n by -w x n: dz = z w . (n x ray) = z (-y w_x + x w_y).
+    variance = 0.02**2 + 0.01**2 + (WALL * y * 0.02) ** 2 + (WALL * x * 0.03) ** 2
+    # Single precision, and rays through the middle of a pixel for its mean.
+    torch.testing.assert_close(frame.sigma.double(), variance.sqrt(), rtol=1e-3, atol=0)
+
+
+def test_correlated_errors_count_with_their_sign():
+    P = torch.zeros(6, 6, dtype=torch.float64)
+    P[2, 2], P[4, 4] = 0.01**2, 0.01**2
+    P[2, 4] = P[4, 2] = 0.01**2
+    (frame,) = compared(wall_job(sigma=0.02), P)
+    u, v = pixel_grid(CAMERA, dtype=torch.float64, device=torch.device("cpu"))
+    x = CAMERA.rays(u, v)[..., 0]
+    # Fully correlated: dz = (-1 + z x) 0.01.
+    variance = 0.02**2 + (0.01 * (WALL * x - 1.0)) ** 2
+    torch.testing.assert_close(frame.sigma.double(), variance.sqrt(), rtol=1e-3, atol=0)
+
+
+def test_sigma_contains_the_drift():
+    (frame,) = compared(wall_job(sigma=0.03), certain(), drift_sigma=0.04, drift_pixels=9.0)
+    torch.testing.assert_close(frame.sigma, torch.full((48, 64), 0.05), rtol=1e-5, atol=0)
+
+
+def test_what_the_model_shows_comes_with_the_comparison():
+    job = wall_job()
+    job.frames[0].image.range[:4] = torch.nan
+    (frame,) = compared(job, certain())
+    assert (frame.label[:4] == PixelClass.MISSING).all()
+    assert (frame.body == 0).all()
+    towards = torch.tensor([0.0, 0.0, -1.0]).expand(48, 64, 3)
+    torch.testing.assert_close(frame.normal, towards, atol=1e-6, rtol=0)
+    torch.testing.assert_close(frame.predicted, torch.full((48, 64), WALL), atol=1e-5, rtol=0)
+
+
+def test_a_measurement_beside_the_model_is_unmodelled():
+    job = wall_job()
+    half = scenes.sheet((-9, -9, WALL), (0, -9, WALL), (0, 9, WALL), (-9, 9, WALL))
+    (frame,) = compared(replace(job, world=recordings.world_of({"half": half})), certain())
+    column = int(CAMERA.cx)
+    assert (frame.label[:, column + 2 :] == PixelClass.UNMODELLED).all()
+    assert (frame.label[:, : column - 1] != PixelClass.UNMODELLED).all()
+    assert frame.sigma[:, column + 2 :].isnan().all()
+    assert (frame.body[:, column + 2 :] == -1).all()
+
+
+def test_a_sigma_that_is_too_small_is_enlarged_by_what_the_residuals_show():
+    job = replace(wall_job(sigma=0.06, frames=3), sensor=recordings.sensor(CAMERA, sigma=0.02))
+    belief, frames = believed_and_compared(job, certain())
+    # The median of 9216 residuals is known to 1.3 %.
+    assert belief.sigma_scale == pytest.approx(3.0, rel=0.05)
+    expected = torch.full((48, 64), 0.02 * belief.sigma_scale)
+    torch.testing.assert_close(frames[0].sigma, expected, rtol=1e-5, atol=0)
+
+
+def test_a_sigma_that_is_too_large_stays():
+    job = replace(wall_job(sigma=0.001), sensor=recordings.sensor(CAMERA, sigma=0.02))
+    belief, _ = believed_and_compared(job, certain())
+    assert belief.sigma_scale == 1.0

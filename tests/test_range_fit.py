@@ -1,0 +1,157 @@
+"""The measurement equation as normal equations, against differences of its cost."""
+
+from dataclasses import replace
+
+import pytest
+import recordings
+import scenes
+import torch
+from recordings import EYE, twist
+
+from torchcal.calibrate.observation import observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.geometry import robust
+from torchcal.model.job import Job
+from torchcal.model.scene import build_scene
+from torchcal.model.sensor import Drift
+
+STEP = 1e-6
+
+
+def tilted_wall_job(sigma: float = 0.01, beam: int = 3) -> Job:
+    """One wall that fills the image and stands askew: nothing but a smooth function of the pose."""
+    wall = {"wall": scenes.turned(scenes.wall(0.0), (0.0, 0.0, 2.0), (0.2, -0.3, 0.1))}
+    sensor = recordings.sensor(sigma=sigma, beam=beam)
+    job = recordings.hand_held(
+        sensor, [EYE], error=twist(0.0, 0.0, 0.01, 0.01, -0.01, 0.0), real=wall
+    )
+    return replace(job, world=recordings.world_of(wall))
+
+
+def fit_of(
+    job: Job, *, cutoff: float = robust.EFFICIENT, drift: Drift | None = None
+) -> tuple[RangeFit, Parameters]:
+    """In double precision."""
+    scene = build_scene(
+        job.world, job.robot, dtype=torch.float64, device=torch.device("cpu")
+    )
+    parameters = Parameters.of(job, scene)
+    fit = RangeFit(
+        observation=observe(job, dtype=torch.float64),
+        surface=scene.surface,
+        parameters=parameters,
+        cutoff=cutoff,
+        drift=drift,
+    )
+    return fit, parameters
+
+
+@pytest.mark.parametrize("beam", [1, 5])
+@pytest.mark.parametrize("cutoff", [robust.EFFICIENT, 1e6])
+def test_gradient_is_minus_the_slope_of_the_cost(beam, cutoff):
+    fit, parameters = fit_of(tilted_wall_job(beam=beam), cutoff=cutoff)
+    state = parameters.nominal
+    steps = STEP * torch.eye(6, dtype=torch.float64)
+    states = state.expand(6, 2, 4, 4)
+    ahead = fit.evaluate(parameters.retract(states, steps)).cost
+    behind = fit.evaluate(parameters.retract(states, -steps)).cost
+    slope = (ahead - behind) / (2.0 * STEP)
+    found = fit.evaluate(state[None]).gradient[0]
+    # Costs of 1e4 are known to 1e-12: slopes to 1e-6; gradients are of the size 1e5.
+    torch.testing.assert_close(found, -slope, rtol=1e-5, atol=1.0)
+
+
+def test_information_is_the_curvature_of_the_cost_without_noise():
+    quiet = tilted_wall_job(sigma=1e-9)
+    job = replace(quiet, sensor=recordings.sensor(sigma=0.01))
+    fit, parameters = fit_of(job, cutoff=1e6)
+    # At the truth the residuals vanish, and with them what Gauss and Newton leave out.
+    truth = parameters.retract(parameters.nominal, twist(0.0, 0.0, 0.01, 0.01, -0.01, 0.0))
+    steps = STEP * torch.eye(6, dtype=torch.float64)
+    states = truth.expand(6, 2, 4, 4)
+    ahead = fit.evaluate(parameters.retract(states, steps)).gradient
+    behind = fit.evaluate(parameters.retract(states, -steps)).gradient
+    curvature = -(ahead - behind) / (2.0 * STEP)
+    information = fit.evaluate(truth[None]).information[0]
+    # The prediction takes a pixel's middle for its mean: residuals of some 1e-5 m remain.
+    size = float(information.abs().max())
+    torch.testing.assert_close(curvature, information, rtol=0, atol=1e-3 * size)
+
+
+def test_residuals_are_measured_minus_predicted():
+    fit, parameters = fit_of(tilted_wall_job(sigma=1e-9))
+    truth = parameters.retract(parameters.nominal, twist(0.0, 0.0, 0.01, 0.01, -0.01, 0.0))
+    (frame,) = fit.residuals(truth)
+    assert frame.compared.all()
+    assert frame.missed == 0
+    # z'' / 24 with tilts of 0.3 and pixels of 1/55 rad: 3e-5 of 2 m.
+    assert float(frame.residual.abs().max()) < 1e-4
+    (nearer,) = fit.residuals(truth @ recordings.pose(0, 0, 0.1, 0, 0, 0))
+    # 0.1 m nearer to the wall, the prediction is less and the residual positive.
+    assert float(nearer.residual.median()) == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_state_without_overlap_costs_as_much_as_outliers_everywhere():
+    fit, parameters = fit_of(tilted_wall_job())
+    turned = parameters.nominal.clone()
+    turned[0] = turned[0] @ recordings.pose(0, 0, 0, 0, torch.pi, 0)
+    equations = fit.evaluate(turned[None])
+    offset = parameters.difference(turned, parameters.nominal) / parameters.prior_sigma
+    expected = 48 * 64 * robust.EFFICIENT**2 / 6.0 + 0.5 * float(offset.square().sum())
+    assert float(equations.cost) == pytest.approx(expected, rel=1e-9)
+    precision = torch.diag(parameters.prior_sigma.square().reciprocal())
+    torch.testing.assert_close(equations.information[0], precision, rtol=1e-9, atol=1e-9)
+
+
+def test_the_prior_pulls_towards_the_nominal_pose():
+    job = tilted_wall_job()
+    usable = torch.zeros(48, 64, dtype=torch.bool)
+    image = replace(job.frames[0].image, usable=usable)
+    fit, parameters = fit_of(replace(job, frames=(replace(job.frames[0], image=image),)))
+    step = twist(0.1, -0.05, 0.02, 0.05, 0.01, -0.02)
+    equations = fit.evaluate(parameters.retract(parameters.nominal, step)[None])
+    precision = parameters.prior_sigma.square().reciprocal()
+    torch.testing.assert_close(equations.gradient[0], -precision * step, rtol=1e-9, atol=1e-9)
+    expected = 0.5 * (precision * step.square()).sum()
+    torch.testing.assert_close(equations.cost[0], expected, rtol=1e-9, atol=0)
+
+
+def test_frames_add_up():
+    job = recordings.hand_held(recordings.sensor(beam=3), [EYE, EYE], error=twist(*[0.0] * 6))
+    both, parameters = fit_of(job)
+    total = both.evaluate(parameters.nominal[None])
+    prior = torch.diag(parameters.prior_sigma.square().reciprocal())
+    parts = [
+        fit_of(replace(job, frames=(frame,)))[0].evaluate(parameters.nominal[None])
+        for frame in job.frames
+    ]
+    torch.testing.assert_close(
+        total.information[0], sum(part.information[0] - prior for part in parts) + prior
+    )
+    torch.testing.assert_close(total.cost, parts[0].cost + parts[1].cost)
+
+
+def test_a_slowly_varying_part_leaves_less_information():
+    job = tilted_wall_job()
+    plain, parameters = fit_of(job)
+    drifting, _ = fit_of(job, drift=Drift(sigma=0.01, pixels=10.0))
+    before, after = (
+        fit.evaluate(parameters.nominal[None]).information[0] for fit in (plain, drifting)
+    )
+    # Marginalising an unknown never adds information: the difference is positive semidefinite.
+    scale = before.diagonal().rsqrt()
+    lost = (before - after) * scale * scale[:, None]
+    assert float(torch.linalg.eigvalsh(lost)[0]) > -0.02
+    assert float(after[2, 2]) < 0.2 * float(before[2, 2])
+
+
+def test_a_larger_sigma_scale_lowers_information_by_its_square():
+    job = tilted_wall_job()
+    plain, parameters = fit_of(job, cutoff=1e6)
+    scaled = replace(plain, sigma_scale=2.0)
+    prior = torch.diag(parameters.prior_sigma.square().reciprocal())
+    one, two = (
+        fit.evaluate(parameters.nominal[None]).information[0] - prior for fit in (plain, scaled)
+    )
+    torch.testing.assert_close(one, 4.0 * two, rtol=1e-6, atol=1e-6 * float(one.max()))

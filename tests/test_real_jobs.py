@@ -1,0 +1,138 @@
+"""The figures that the project promises on two real recordings."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from torchcal.calibrate.pipeline import calibrate
+from torchcal.calibrate.result import Calibration, Status
+from torchcal.geometry import se3
+from torchcal.geometry.projection import pixel_grid
+from torchcal.model.job import Frame, Job
+from torchcal.model.read_job import read_job
+from torchcal.model.robot import Robot
+
+JOBS = Path(__file__).resolve().parents[2] / "shared" / "jobs"
+DEGREE = float(np.radians(1.0))
+SAMPLES = 300_000
+"""On the robot's surface: one for each 2 mm square."""
+EVERY = 7
+"""Of the measured pixels, one in so many is looked at."""
+
+pytestmark = pytest.mark.slow
+
+
+def calibrated(name: str) -> Calibration:
+    file = JOBS / name / "job.toml"
+    if not file.is_file():
+        pytest.skip(f"needs the real recording {file}")
+    return calibrate(read_job(file), generator=torch.Generator().manual_seed(0))
+
+
+@pytest.fixture(scope="module")
+def arc_bin() -> Calibration:
+    return calibrated("arc_bin")
+
+
+@pytest.fixture(scope="module")
+def lbr_med7() -> Calibration:
+    return calibrated("lbr_med7")
+
+
+def truth_of(name: str, key: str) -> Tensor:
+    truth = json.loads((JOBS / name / "truth.json").read_text())
+    return torch.tensor(truth[key], dtype=torch.float64)
+
+
+def errors(found: Tensor, truth: Tensor) -> tuple[float, float]:
+    """m, rad."""
+    xi = se3.log(se3.inverse(truth) @ found)
+    return float(xi[:3].norm()), float(xi[3:].norm())
+
+
+def test_pose_before_the_filled_bin(arc_bin):
+    found = arc_bin.estimate.Ts_world_sensor[0]
+    position, rotation = errors(found, truth_of("arc_bin", "T_world_sensor"))
+    assert arc_bin.estimate.status is Status.CONVERGED
+    assert position < 0.003
+    assert rotation < 0.003
+
+
+def test_bin_is_still_there(arc_bin):
+    verdicts = {name: each.verdict for name, each in arc_bin.update.verdicts.items()}
+    assert verdicts
+    assert "removed" not in verdicts.values()
+
+
+def pixels_of(mesh: trimesh.Trimesh, job: Job, T_world_sensor: Tensor) -> np.ndarray:
+    """Where points of a mesh's surface lie in the image (u, v)."""
+    points, _ = trimesh.sample.sample_surface(mesh, 5000, seed=0)
+    seen = se3.transform(se3.inverse(T_world_sensor), torch.from_numpy(np.asarray(points)))
+    return job.sensor.projection.pixels(seen).numpy()
+
+
+@pytest.mark.parametrize(
+    ("thing", "u", "v"),
+    [
+        ("whisk", (330, 400), (130, 290)),
+        ("torch", (275, 345), (305, 318)),
+        ("scissors", (290, 345), (385, 420)),
+    ],
+)
+def test_things_in_the_bin_are_added(arc_bin, thing, u, v):
+    pose = truth_of("arc_bin", "T_world_sensor")
+    shares = []
+    for added in arc_bin.update.added:
+        pixels = pixels_of(added.mesh, arc_bin.job, pose)
+        inside = (pixels >= (u[0], v[0])) & (pixels <= (u[1], v[1]))
+        shares.append(float(inside.all(1).mean()))
+    assert len(shares) >= 3
+    # Most of one region is the thing; the rest of the bin would not fit into its box.
+    assert max(shares) > 0.5, f"no added region shows the {thing}: {shares}"
+
+
+def test_camera_that_watches_the_arm(lbr_med7):
+    found = lbr_med7.estimate.Ts_world_sensor[0]
+    position, rotation = errors(found, truth_of("lbr_med7", "T_world_sensor_reference"))
+    assert lbr_med7.estimate.status is Status.CONVERGED
+    assert position < 0.025
+    assert rotation < DEGREE
+
+
+def robot_surface(robot: Robot, joints: Tensor) -> trimesh.Trimesh:
+    """All links where the joints put them, in the robot's base."""
+    Ts = robot.forward_kinematics(joints)
+    return trimesh.util.concatenate(
+        [
+            mesh.copy().apply_transform(Ts[robot.link_index(name)].numpy())
+            for name, mesh in robot.link_meshes.items()
+        ]
+    )
+
+
+def measured_points(job: Job, frame: Frame, T_base_sensor: Tensor) -> np.ndarray:
+    """Masked depth as points in the robot's base (m)."""
+    grid = pixel_grid(job.sensor.projection, dtype=torch.float64, device=torch.device("cpu"))
+    usable = frame.image.usable & frame.image.range.isfinite()
+    rays = job.sensor.projection.rays(*grid)
+    points = (frame.image.range[..., None] * rays)[usable][::EVERY]
+    return se3.transform(T_base_sensor, points).numpy()
+
+
+def test_measured_depth_lies_on_the_arm(lbr_med7):
+    job, distances = lbr_med7.job, []
+    T_base_sensor = se3.inverse(job.T_world_base) @ lbr_med7.estimate.Ts_world_sensor[0]
+    for frame in job.frames:
+        surface = robot_surface(job.robot, frame.joints)
+        points, faces = trimesh.sample.sample_surface(surface, SAMPLES, seed=0)
+        measured = measured_points(job, frame, T_base_sensor)
+        _, nearest = KDTree(points).query(measured)
+        normals = surface.face_normals[faces[nearest]]
+        distances.append(np.abs(((measured - points[nearest]) * normals).sum(1)))
+    assert np.median(np.concatenate(distances)) <= 0.006

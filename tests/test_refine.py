@@ -1,0 +1,179 @@
+"""The fit on every pixel: error, claimed error and noise model on recordings with a known truth."""
+
+from dataclasses import replace
+
+import pytest
+import recordings
+import torch
+from recordings import CAMERA, EYE, LIDAR, pose, twist
+from torch import Tensor
+
+from torchcal.calibrate.observation import observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.refine import (
+    FINE_PIXELS,
+    Refined,
+    coarse_factor,
+    coarse_fit,
+    estimated_covariance,
+    fine_factor,
+    fine_fit,
+)
+from torchcal.geometry import se3
+from torchcal.geometry.projection import Pinhole
+from torchcal.model.job import Job
+
+NEARBY = twist(0.01, -0.008, 0.006, 0.004, -0.006, 0.005)
+"""What a coarse fit leaves."""
+TRUTHS = (EYE, pose(0.15, -0.1, 0.1, 0.05, -0.2, 0.1))
+SEEDS = 12
+
+
+def refined(job: Job) -> tuple[Refined, Parameters]:
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    found = fine_fit(observe(job), scene.surface, parameters, parameters.nominal, iterations=10)
+    return found, parameters
+
+
+def error_and_covariance(job: Job, truth: Tensor = EYE) -> tuple[Tensor, Tensor]:
+    """Twist from the true to the estimated pose of the first frame, and what is claimed of it."""
+    found, parameters = refined(job)
+    J = parameters.pose_jacobians(found.state)[0]
+    error = se3.log(se3.inverse(truth) @ parameters.sensor_poses(found.state)[0])
+    return error, J @ estimated_covariance(found) @ J.mT
+
+
+def nees(error: Tensor, covariance: Tensor) -> float:
+    """Normalised error squared, for each degree of freedom."""
+    return float(error @ torch.linalg.solve(covariance, error)) / len(error)
+
+
+@pytest.mark.parametrize("projection", [CAMERA, LIDAR], ids=["pinhole", "spherical"])
+@pytest.mark.parametrize("frames", [1, 2])
+def test_error_is_a_few_claimed_sigmas(projection, frames):
+    sensor = recordings.sensor(projection, sigma=0.02, beam=5)
+    job = recordings.hand_held(sensor, list(TRUTHS[:frames]), error=NEARBY)
+    error, P = error_and_covariance(job)
+    assert float((error.abs() / P.diagonal().sqrt()).max()) < 4.0
+    # 3072 pixels of 2 cm: some tenths of a millimetre.
+    assert float(P.diagonal()[:3].sqrt().max()) < 0.003
+    assert float(P.diagonal()[3:].sqrt().max()) < 0.002
+
+
+@pytest.mark.slow
+def test_claimed_covariance_is_that_of_the_errors():
+    sensor = recordings.sensor(sigma=0.02, beam=5)
+    scores = [
+        nees(*error_and_covariance(recordings.hand_held(sensor, [EYE], error=NEARBY, seed=seed)))
+        for seed in range(SEEDS)
+    ]
+    # The mean of 72 squared standard normals is 1 with a standard deviation of 0.17.
+    assert 0.6 < sum(scores) / SEEDS < 1.6
+
+
+def test_more_frames_tell_more():
+    sensor = recordings.sensor(sigma=0.02, beam=5)
+    _, one = error_and_covariance(recordings.hand_held(sensor, [EYE], error=NEARBY))
+    _, three = error_and_covariance(recordings.hand_held(sensor, [EYE] * 3, error=NEARBY))
+    ratio = (one.diagonal() / three.diagonal()).sqrt()
+    # Three times the information; the excess scatter of blocks is itself only known to 10 %.
+    assert float(ratio.min()) > 1.4
+    assert float(ratio.max()) < 2.1
+
+
+def test_mount_of_a_carried_sensor(tmp_path):
+    robot = recordings.arm(tmp_path)
+    T_world_base = pose(-0.3, 0.1, -0.2, 0.0, 0.0, 0.0) @ pose(0, 0, 0, 0, -torch.pi / 2, 0)
+    T_link_sensor = pose(0.38, 0.02, 0.05, 0, 0, 0) @ pose(0, 0, 0, 0, torch.pi / 2, 0)
+    postures = [torch.tensor(q, dtype=torch.float64) for q in ((0.0, 0.0), (0.15, -0.25))]
+    sensor = recordings.sensor(sigma=0.02, beam=5)
+    truth = recordings.carried(robot, sensor, T_world_base, T_link_sensor, postures)
+    wrong = replace(
+        truth, T_link_sensor=T_link_sensor @ se3.exp(-NEARBY), mount=recordings.prior(0.02, 0.02)
+    )
+    found, parameters = refined(wrong)
+    assert parameters.names[0] == "mount.x"
+    error = se3.log(se3.inverse(T_link_sensor) @ found.state[1])
+    sigma = estimated_covariance(found).diagonal().sqrt()
+    assert float((error.abs() / sigma).max()) < 4.0
+    assert float(sigma[:3].max()) < 0.003
+    assert torch.equal(found.state[0], T_world_base)
+
+
+def test_a_few_unmasked_pixels_are_enough():
+    sensor = recordings.sensor(sigma=0.02, beam=5)
+    job = recordings.hand_held(sensor, [EYE], error=NEARBY)
+    usable = torch.rand(48, 64, generator=torch.Generator().manual_seed(3)) < 0.05
+    image = replace(job.frames[0].image, usable=usable)
+    error, P = error_and_covariance(replace(job, frames=(replace(job.frames[0], image=image),)))
+    assert P.isfinite().all()
+    assert float((error.abs() / P.diagonal().sqrt()).max()) < 4.0
+    # A twentieth of the pixels: 4.5 times the sigma of all.
+    assert float(P.diagonal()[:3].sqrt().max()) < 0.015
+
+
+def test_sigma_that_the_job_gives_too_small_is_found_in_the_residuals():
+    job = recordings.hand_held(recordings.sensor(sigma=0.02, beam=5), [EYE], error=NEARBY)
+    job = replace(job, sensor=recordings.sensor(sigma=0.01, beam=5))
+    found, _ = refined(job)
+    # The median of 3072 residuals is known to 2 %.
+    assert found.fit.sigma_scale == pytest.approx(2.0, rel=0.06)
+
+
+def test_white_noise_is_not_taken_for_drift():
+    job = recordings.hand_held(
+        recordings.sensor(sigma=0.02, beam=5, drift=None), [EYE], error=NEARBY
+    )
+    found, _ = refined(job)
+    assert found.fit.drift is None or found.fit.drift.sigma < 0.004
+
+
+def test_coarse_fit_brings_all_candidates_near():
+    sensor = recordings.sensor(sigma=0.02, beam=5)
+    job = recordings.hand_held(sensor, [EYE], error=NEARBY)
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    steps = torch.stack([torch.zeros(6, dtype=torch.float64), NEARBY, -2.0 * NEARBY])
+    starts = parameters.retract(parameters.nominal.expand(3, 2, 4, 4), steps)
+    solution = coarse_fit(observe(job), scene.surface, parameters, starts)
+    errors = se3.log(parameters.sensor_poses(solution.state)[:, 0])
+    assert float(errors[:, :3].norm(dim=-1).max()) < 0.005
+    assert float(errors[:, 3:].norm(dim=-1).max()) < 0.005
+    # At one cut-off, the same minimum has the same cost.
+    torch.testing.assert_close(
+        solution.equations.cost, solution.equations.cost[:1].expand(3), rtol=0.02, atol=0
+    )
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "expected"), [(64, 48, 1), (320, 240, 4), (1920, 1080, 8), (640, 50, 1)]
+)
+def test_coarsest_image_has_some_sixty_rows(width, height, expected):
+    assert coarse_factor(observed(width, height, beam=1)) == expected
+
+
+def test_wide_beams_are_never_averaged():
+    assert fine_factor(observed(2000, 1000, beam=5)) == 1
+
+
+def test_large_sharp_images_are_averaged_to_the_limit():
+    observation = observed(2000, 1000, beam=1)
+    factor = fine_factor(observation)
+    assert factor == 2
+    assert observation.range.numel() / factor**2 <= FINE_PIXELS
+
+
+def observed(width: int, height: int, beam: int):
+    """An image of one value."""
+    projection = Pinhole(width=width, height=height, fx=500.0, fy=500.0, cx=0.0, cy=0.0)
+    ranges = torch.ones(height, width, dtype=torch.float64)
+    job = recordings.hand_held(recordings.sensor(), [EYE], error=NEARBY)
+    return observe(
+        replace(
+            job,
+            sensor=recordings.sensor(projection, beam=beam),
+            frames=(recordings.frame_of(ranges, T_world_sensor=EYE),),
+        )
+    )
