@@ -3,6 +3,7 @@
 Two hybrid views side by side, one with what was added to the cell and one with what was removed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +26,7 @@ class Args:
     """The picture."""
 
 
-def side_by_side(views: list[Image.Image]) -> Image.Image:
+def side_by_side(views: Sequence[Image.Image]) -> Image.Image:
     """The views in one row, scaled to ``WIDTH``."""
     row = Image.new("RGB", (sum(view.width for view in views), max(view.height for view in views)))
     left = 0

@@ -1,4 +1,4 @@
-"""Recordings of a furnished room, made by the ray caster: jobs with a known truth, without files."""
+"""Recordings of a furnished room by the ray caster: jobs with a known truth, without files."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,11 +1,12 @@
 """Block means against plain loops, and which pixels the estimate is given."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import recordings
 import torch
-from recordings import EYE, NO_DRIFT
+from recordings import CAMERA, EYE, NO_DRIFT
 from torch import Tensor
 
 from torchcal.calibrate.observation import Observation, coarser, observe
@@ -121,6 +122,14 @@ def test_a_slanted_wall_is_not_a_jump():
     # 60 degrees off its normal: z = 2 / (1 - tan(60) x).
     image = 2.0 / (1.0 - 3.0**0.5 * (u - FINE.cx) / FINE.fx)
     assert observe(job_of(image)).measured.all()
+
+
+def test_a_slanted_wall_is_not_a_jump_for_a_coarse_sensor_either():
+    u = torch.arange(64, dtype=torch.float64).expand(48, 64)
+    image = 2.0 / (1.0 - 3.0**0.5 * (u - CAMERA.cx) / (4.0 * CAMERA.fx))
+    job = job_of(image)
+    coarse = replace(CAMERA, fx=4.0 * CAMERA.fx, fy=4.0 * CAMERA.fy)
+    assert observe(replace(job, sensor=replace(job.sensor, projection=coarse))).measured.all()
 
 
 def test_masked_and_missing_pixels_are_not_measured():

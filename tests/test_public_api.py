@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import torch
 import torchcal
 from torchcal.demo import cell, raycast, recording, robot_folder
 from torchcal.geometry import se3
+from torchcal.model.job_mistakes import checked
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 SIDE = 64  # pixels; the demo has 512
@@ -61,8 +63,8 @@ def public_names() -> list[str]:
     return sorted(set(spelled))
 
 
-def example() -> str:
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+def example(language: str) -> str:
+    blocks = re.findall(rf"```{language}\n(.*?)```", README.read_text(), re.DOTALL)
     assert len(blocks) == 1
     return blocks[0]
 
@@ -99,8 +101,15 @@ def test_the_commands_calls_are_public():
 
 
 def test_a_name_that_torchcal_does_not_have_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="torchcal.*no attribute 'calibrat'"):
+    with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
         _ = torchcal.calibrat  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_job_file_of_the_readme_has_only_keys_that_a_job_may_have():
+    table = checked(README, tomllib.loads(example("toml")))
+    assert table.world is not None
+    assert table.sensor.model == "pinhole"
+    assert table.unknown.mount is not None
 
 
 @pytest.mark.slow
@@ -110,12 +119,10 @@ def test_the_example_of_the_readme_prints_the_true_pose(
     (tmp_path / "torchcal-demo").mkdir()
     T_world_base = write_small_demo(tmp_path / "torchcal-demo")
     monkeypatch.chdir(tmp_path)
-    exec(compile(example(), "README.md", "exec"), {})
+    exec(compile(example("python"), "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert printed.startswith("converged")
-    numbers = {
-        name: float(sigma) for name, sigma in re.findall(r"(base\.\w+) ± ([\d.]+)", printed)
-    }
+    numbers = {name: float(sigma) for name, sigma in re.findall(r"(base\.\w+) ± ([\d.]+)", printed)}
     assert list(numbers) == [f"base.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")]
     assert all(0.0 < sigma < CLOSE for sigma in numbers.values())
     rows = re.findall(r"\[+ *([-\d.e]+), +([-\d.e]+), +([-\d.e]+), +([-\d.e]+)\]", printed)

@@ -6,17 +6,21 @@ import pytest
 import recordings
 import scenes
 import torch
+import trimesh
 from recordings import EYE, twist
 
 from torchcal.calibrate.observation import observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.geometry import robust
+from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Job
 from torchcal.model.scene import build_scene
 from torchcal.model.sensor import Drift
 
 STEP = 1e-6
+TURN = trimesh.transformations.euler_matrix(0.2, -0.3, 0.1)
+"""Of the wall z = 0; its last column is the wall's normal."""
 
 
 def tilted_wall_job(sigma: float = 0.01, beam: int = 3) -> Job:
@@ -33,9 +37,7 @@ def fit_of(
     job: Job, *, cutoff: float = robust.EFFICIENT, drift: Drift | None = None
 ) -> tuple[RangeFit, Parameters]:
     """In double precision."""
-    scene = build_scene(
-        job.world, job.robot, dtype=torch.float64, device=torch.device("cpu")
-    )
+    scene = build_scene(job.world, job.robot, dtype=torch.float64, device=torch.device("cpu"))
     parameters = Parameters.of(job, scene)
     fit = RangeFit(
         observation=observe(job, dtype=torch.float64),
@@ -87,9 +89,14 @@ def test_residuals_are_measured_minus_predicted():
     assert frame.missed == 0
     # z'' / 24 with tilts of 0.3 and pixels of 1/55 rad: 3e-5 of 2 m.
     assert float(frame.residual.abs().max()) < 1e-4
-    (nearer,) = fit.residuals(truth @ recordings.pose(0, 0, 0.1, 0, 0, 0))
-    # 0.1 m nearer to the wall, the prediction is less and the residual positive.
-    assert float(nearer.residual.median()) == pytest.approx(0.1, abs=0.02)
+    (nearer,) = fit.residuals(parameters.retract(truth, twist(0, 0, 0.1, 0, 0, 0)))
+    # 0.1 m nearer to the wall, the prediction is less and the residual positive: along a ray the
+    # way to the wall is 0.1 m over the ray's share along the normal times the normal's z.
+    normal = torch.from_numpy(TURN[:3, 2].copy())
+    grid = pixel_grid(recordings.CAMERA, dtype=torch.float64, device=torch.device("cpu"))
+    expected = 0.1 * normal[2] / (recordings.CAMERA.rays(*grid) @ normal)
+    inside = (slice(2, -2), slice(2, -2))
+    torch.testing.assert_close(nearer.residual[inside], expected[inside], rtol=0.01, atol=0)
 
 
 def test_a_state_without_overlap_costs_as_much_as_outliers_everywhere():

@@ -72,7 +72,7 @@ def test_bin_is_still_there(arc_bin):
 
 def pixels_of(mesh: trimesh.Trimesh, job: Job, T_world_sensor: Tensor) -> np.ndarray:
     """Where points of a mesh's surface lie in the image (u, v)."""
-    points, _ = trimesh.sample.sample_surface(mesh, 5000, seed=0)
+    points = trimesh.sample.sample_surface(mesh, 5000, seed=0)[0]
     seen = se3.transform(se3.inverse(T_world_sensor), torch.from_numpy(np.asarray(points)))
     return job.sensor.projection.pixels(seen).numpy()
 
@@ -108,12 +108,12 @@ def test_camera_that_watches_the_arm(lbr_med7):
 def robot_surface(robot: Robot, joints: Tensor) -> trimesh.Trimesh:
     """All links where the joints put them, in the robot's base."""
     Ts = robot.forward_kinematics(joints)
-    return trimesh.util.concatenate(
-        [
-            mesh.copy().apply_transform(Ts[robot.link_index(name)].numpy())
-            for name, mesh in robot.link_meshes.items()
-        ]
-    )
+    placed = [
+        mesh.copy().apply_transform(Ts[robot.link_index(name)].numpy())
+        for name, mesh in robot.link_meshes.items()
+    ]
+    triangles = np.concatenate([mesh.triangles for mesh in placed])
+    return trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles))
 
 
 def measured_points(job: Job, frame: Frame, T_base_sensor: Tensor) -> np.ndarray:
@@ -130,7 +130,7 @@ def test_measured_depth_lies_on_the_arm(lbr_med7):
     T_base_sensor = se3.inverse(job.T_world_base) @ lbr_med7.estimate.Ts_world_sensor[0]
     for frame in job.frames:
         surface = robot_surface(job.robot, frame.joints)
-        points, faces = trimesh.sample.sample_surface(surface, SAMPLES, seed=0)
+        points, faces = trimesh.sample.sample_surface(surface, SAMPLES, seed=0)[:2]
         measured = measured_points(job, frame, T_base_sensor)
         _, nearest = KDTree(points).query(measured)
         normals = surface.face_normals[faces[nearest]]

@@ -13,7 +13,7 @@ class JobError(TorchcalError):
 
     Args:
         file: The file in which the mistake is.
-        key: The key inside that file, such as ``frame[2].joints.elbow``; empty if the whole file is meant.
+        key: The key inside that file, such as ``frame[2].joints.elbow``; empty for the whole file.
         found: What stands there.
         expected: What is possible there.
     """

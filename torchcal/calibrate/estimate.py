@@ -16,6 +16,7 @@ from torchcal.calibrate.refine import (
     coarse_factor,
     coarse_fit,
     estimated_covariance,
+    fine_factor,
     fine_fit,
 )
 from torchcal.calibrate.result import (
@@ -34,8 +35,6 @@ RIVAL = 0.02
 """A state whose coarse cost is at most this share higher explains the images as well."""
 EXPLAINED = 0.2
 """Share of the compared pixels that must agree before a pose counts as an explanation."""
-ITERATIONS = 10
-"""Most steps of each final fit."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,9 +71,10 @@ def choose_start(
 def fit_pixels(
     job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "2 4 4"]
 ) -> Refined:
-    """The fit on every pixel."""
+    """The fit that shows which pixels differ: at half of the final resolution."""
     observation = cropped(observe(job))
-    return fine_fit(observation, scene.surface, parameters, state, iterations=ITERATIONS)
+    factor = min(2 * fine_factor(observation), coarse_factor(observation))
+    return fine_fit(observation, scene.surface, parameters, state, factor=factor)
 
 
 def fit_rest(
@@ -84,9 +84,15 @@ def fit_rest(
     before: Refined,
     excluded: Bool[Tensor, "frame h w"],
 ) -> Refined:
-    """The fit once more, without the pixels that turned out to show something else."""
+    """The final fit, without the pixels that turned out to show something else."""
     observation = cropped(observe(job).without(excluded))
-    refined = fine_fit(observation, scene.surface, parameters, before.state, iterations=ITERATIONS)
+    refined = fine_fit(
+        observation,
+        scene.surface,
+        parameters,
+        before.state,
+        factor=fine_factor(observation),
+    )
     return replace(refined, curvature=min(before.curvature, refined.curvature))
 
 

@@ -182,7 +182,7 @@ def grid_faces(
     return faces[np.ptp(ranges.ravel()[faces], axis=1) <= jump]
 
 
-def largest_pieces(faces: Int[np.ndarray, "face 3"]) -> Int[np.ndarray, "face 3"]:
+def largest_pieces(faces: Int[np.ndarray, "face 3"]) -> Int[np.ndarray, "kept 3"]:
     """The faces without the pieces that hold hardly any of them."""
     if len(faces) == 0:
         return faces

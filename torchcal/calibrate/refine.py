@@ -25,6 +25,8 @@ FINE_PIXELS = 1_600_000
 """Pixels of all frames together in the final fit of a sharp sensor; more are averaged in blocks."""
 RIPPLE = 0.005
 """Share of the cost that pixels changing from face to face may add in an accepted step."""
+ITERATIONS = 10
+"""Most steps of each final fit."""
 TOLERANCE = 0.1
 """Shortest step of the final fits, in standard deviations: less cannot be seen in the result."""
 LONGEST = 10.0
@@ -97,10 +99,17 @@ def fine_fit(
     parameters: Parameters,
     state: Float[Tensor, "2 4 4"],
     *,
-    iterations: int,
+    factor: int,
 ) -> Refined:
-    """The fit on every pixel with the noise model of the sensor, or of the residuals themselves."""
-    factor = fine_factor(observation)
+    """The fit with the noise model of the sensor, or of the residuals themselves.
+
+    Args:
+        observation: The measured images.
+        surface: The scene's triangles.
+        parameters: What is unknown.
+        state: Where to start.
+        factor: Side of the blocks of pixels that are averaged.
+    """
     observation = coarser(observation, factor)
     fit = RangeFit(
         observation=observation,
@@ -111,7 +120,7 @@ def fine_fit(
     )
     fit = with_noise(fit, state, factor)
     config = GaussNewtonConfig(
-        iterations=iterations, ripple=RIPPLE, damping=1e-6, longest=LONGEST, tolerance=TOLERANCE
+        iterations=ITERATIONS, ripple=RIPPLE, damping=1e-6, longest=LONGEST, tolerance=TOLERANCE
     )
     first = minimise(fit.evaluate, parameters.retract, state[None], config)
     fit = with_noise(fit, first.state[0], factor)

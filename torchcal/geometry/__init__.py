@@ -1,0 +1,1 @@
+"""SE(3), projection, Gaussians, robust statistics: pure functions on tensors."""

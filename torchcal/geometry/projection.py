@@ -193,7 +193,7 @@ class Spherical:
         )
 
     def widened(self, margin: int) -> "Spherical":
-        """The same optics with up to ``margin`` more pixels on each side, at most the whole sphere."""
+        """The same with up to ``margin`` more pixels on each side, at most the whole sphere."""
         turn = (2 * math.pi / abs(self.azimuth_step) - self.width) / 2
         poles = (math.pi / 2 - max(map(abs, self.elevation))) / abs(self.elevation_step)
         sides = max(0, min(margin, int(turn)))

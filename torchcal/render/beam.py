@@ -1,5 +1,6 @@
 """The beam of eq. 17 and 18: the mean over a square of pixels."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
@@ -12,11 +13,24 @@ def box_sum(image: Float[Tensor, "*batch h w"], side: int) -> Float[Tensor, "*ba
         image: Any batch of images.
         side: Odd number of pixels (2N + 1).
     """
-    flat = image.reshape(-1, 1, *image.shape[-2:])
-    half = side // 2
-    rows = functional.avg_pool2d(flat, (side, 1), 1, (half, 0), divisor_override=1)
-    both = functional.avg_pool2d(rows, (1, side), 1, (0, half), divisor_override=1)
-    return both.reshape(image.shape)
+    return _window_sum(_window_sum(image, side, -2), side, -1)
+
+
+def _window_sum(image: Tensor, side: int, axis: int) -> Tensor:
+    """Sums over windows about each place of an axis, put together from sums over powers of two."""
+    size, half = image.shape[axis], side // 2
+    padding = (half, half) if axis == -1 else (0, 0, half, half)
+    part = functional.pad(image, padding)
+    total = torch.zeros_like(image)
+    width, start = 1, 0
+    while width <= side:
+        if side & width:
+            total += part.narrow(axis, start, size)
+            start += width
+        length = part.shape[axis] - width
+        part = part.narrow(axis, 0, length) + part.narrow(axis, width, length)
+        width *= 2
+    return total
 
 
 def beam_area(height: int, width: int, side: int, like: Tensor) -> Float[Tensor, "h w"]:

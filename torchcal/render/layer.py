@@ -45,8 +45,11 @@ class BodyMotion:
     @staticmethod
     def of(motion: Float[Tensor, "body 6 parameter"], surface: Surface) -> "BodyMotion":
         """Finds the bodies that move alike."""
-        kinds, body_kind = torch.unique(motion, dim=0, return_inverse=True)
         face_body = surface.vertex_body[surface.faces[:, 0]]
+        if motion.shape[-1] == 0:  # torch.unique knows no rows of length 0
+            alike = face_body.new_zeros(len(motion))
+            return BodyMotion(kinds=motion[:1], body_kind=alike, face_body=face_body)
+        kinds, body_kind = torch.unique(motion, dim=0, return_inverse=True)
         return BodyMotion(kinds=kinds, body_kind=body_kind, face_body=face_body)
 
     @property

@@ -60,7 +60,7 @@ def synthesise(
     """
     batch = Ts_sensor_body.shape[:-3]
     poses = Ts_sensor_body.reshape(-1, *Ts_sensor_body.shape[-3:])
-    motions = None if motion is None else motion.reshape(-1, *motion.shape[-3:])
+    motions = None if motion is None else motion.reshape(len(poses), *motion.shape[-3:])
     views = [
         _synthesise_view(surface, T, sensor, None if motions is None else motions[i])
         for i, T in enumerate(poses)
