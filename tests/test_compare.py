@@ -21,8 +21,8 @@ WALL = 2.5
 
 
 def label(measured: float, predicted: float, sigma: float = 0.01, usable: bool = True) -> int:
-    images = (torch.full((1, 1), value) for value in (measured, predicted, sigma))
-    return int(classify(*images, torch.full((1, 1), usable), ALPHA))
+    z, model, sigmas = (torch.full((1, 1), value) for value in (measured, predicted, sigma))
+    return int(classify(z, model, sigmas, torch.full((1, 1), usable), ALPHA))
 
 
 @pytest.mark.parametrize(

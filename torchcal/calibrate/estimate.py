@@ -86,6 +86,8 @@ def fit_rest(
 ) -> Refined:
     """The final fit, without the pixels that turned out to show something else."""
     observation = cropped(observe(job).without(excluded))
+    if not observation.measured.any():
+        return before
     refined = fine_fit(
         observation,
         scene.surface,
@@ -121,15 +123,20 @@ def belief_after(refined: Refined) -> Belief:
 def estimate_of(
     parameters: Parameters,
     belief: Belief,
-    choice: Choice,
+    choice: Choice | None,
     comparisons: Sequence[FrameComparison],
 ) -> Estimate:
-    """Puts a belief into words and figures."""
+    """Puts a belief into words and figures; without a choice nothing was estimated."""
     jacobians = parameters.pose_jacobians(belief.state)
-    status = _status(parameters, belief, choice, comparisons, jacobians)
+    rivals = choice.rivals if choice else ()
+    if choice is None:
+        status, message = _status_of_nominal(comparisons)
+    else:
+        status = _status(parameters, belief, choice, comparisons, jacobians)
+        message = _message(status, len(rivals))
     return Estimate(
         status=status,
-        message=_message(status, parameters, len(choice.rivals)),
+        message=message,
         names=parameters.names,
         covariance=belief.covariance,
         T_world_base=belief.state[0],
@@ -139,11 +146,11 @@ def estimate_of(
         sigma_scale=belief.sigma_scale,
         drift_sigma=belief.drift_sigma,
         drift_pixels=belief.drift_pixels,
-        score=choice.score,
-        unobservable=unobservable_directions(belief.covariance, parameters),
+        score=choice.score if choice else 0.0,
+        unobservable=unobservable_directions(belief.covariance, parameters) if choice else (),
         alternatives=tuple(
             Alternative(Ts_world_sensor=parameters.sensor_poses(state), score=score)
-            for state, score in choice.rivals
+            for state, score in rivals
         ),
     )
 
@@ -170,9 +177,13 @@ def agreement(comparisons: Sequence[FrameComparison]) -> float:
     return int((labels == PixelClass.AGREES).sum()) / max(total, 1)
 
 
-def _message(status: Status, parameters: Parameters, rivals: int) -> str:
-    if not parameters.names:
-        return "The job declares nothing unknown: the images were compared at the nominal pose."
+def _status_of_nominal(comparisons: Sequence[FrameComparison]) -> tuple[Status, str]:
+    if agreement(comparisons) < EXPLAINED:
+        return Status.FAILED, "Nothing was estimated; the nominal pose does not explain the images."
+    return Status.CONVERGED, "Nothing was estimated: the images were compared at the nominal pose."
+
+
+def _message(status: Status, rivals: int) -> str:
     return {
         Status.CONVERGED: "The model explains the images; the estimated pose can be used.",
         Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "

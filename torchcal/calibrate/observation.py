@@ -13,7 +13,9 @@ from torchcal.model.sensor import Sensor
 SMALLEST = 64
 """Images are not cropped to fewer pixels than this along a side."""
 JUMP = 0.02
-"""Share of the range: a larger step between neighbours is a depth jump, not a slope."""
+"""Share of the range: a larger step off the plane of the neighbours is a depth jump."""
+SURE = 10.0
+"""Standard deviations of a pixel that such a step must have: four of those of a second difference."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,8 +57,10 @@ def cropped(observation: Observation) -> Observation:
 
     Only for beams of a pixel: a wide beam's mean at the border depends on where the border is.
     """
+    if observation.sensor.beam > 1 or not observation.measured.any():
+        return observation
     rows, columns = (observation.measured.any(0).any(axis).nonzero()[:, 0] for axis in (1, 0))
-    if observation.sensor.beam > 1 or min(rows[-1] - rows[0], columns[-1] - columns[0]) < SMALLEST:
+    if min(rows[-1] - rows[0], columns[-1] - columns[0]) < SMALLEST:
         return observation
     top, bottom = int(rows[0]), int(rows[-1]) + 1
     left, right = int(columns[0]), int(columns[-1]) + 1
@@ -94,11 +98,17 @@ def _block_mean(images: Tensor, factor: int) -> Tensor:
 
 
 def _near_jumps(ranges: Tensor, measured: Tensor, sigma: Tensor) -> Tensor:
-    """Pixels within two of a depth jump."""
-    low = -_dilated(torch.where(measured, -ranges, -torch.inf), 3)
-    high = _dilated(torch.where(measured, ranges, -torch.inf), 3)
-    jump = (high - low) > torch.maximum(JUMP * ranges, 6.0 * sigma)
+    """Pixels within two of a depth jump: a bend in inverse range, which is straight on a plane."""
+    inverse = torch.where(measured, ranges, torch.nan).reciprocal()
+    bend = torch.maximum(_bend(inverse), _bend(inverse.mT).mT) * ranges.square()
+    jump = bend > torch.maximum(JUMP * ranges, SURE * sigma)
     return _dilated((jump & measured).to(sigma), 3) > 0
+
+
+def _bend(images: Tensor) -> Tensor:
+    """Size of the second difference along rows; 0 at the ends and beside what is missing."""
+    middle = (images[..., 2:] + images[..., :-2] - 2.0 * images[..., 1:-1]).abs()
+    return functional.pad(middle.nan_to_num(0.0), (1, 1))
 
 
 def _dilated(images: Tensor, side: int) -> Tensor:

@@ -50,17 +50,9 @@ def calibrate(
     stages = _Stages(progress=progress)
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
-    belief, choice = nominal_belief(job, parameters), _no_choice(parameters)
+    belief, choice = nominal_belief(job, parameters), None
     if estimate and parameters.names:
-        with stages.stage("find a start"):
-            choice = choose_start(job, scene, parameters, generator)
-        with stages.stage("fit every pixel"):
-            refined = fit_pixels(job, scene, parameters, choice.state)
-        with stages.stage("set aside what differs"):
-            differing = _differing_pixels(job, scene, parameters, belief_after(refined))
-        with stages.stage("fit the rest"):
-            refined = fit_rest(job, scene, parameters, refined, differing)
-            belief = belief_after(refined)
+        belief, choice = _estimated(job, scene, parameters, generator, stages)
     with stages.stage("compare"):
         belief, comparisons = compare(job, scene, parameters, belief)
     result = estimate_of(parameters, belief, choice, comparisons)
@@ -91,8 +83,19 @@ def build_job_scene(job: Job) -> Scene:
     return build_scene(job.world, job.robot, dtype=torch.float32, device=device)
 
 
-def _no_choice(parameters: Parameters) -> Choice:
-    return Choice(state=parameters.nominal, score=0.0, rivals=())
+def _estimated(
+    job: Job, scene: Scene, parameters: Parameters, generator: torch.Generator, stages: "_Stages"
+) -> tuple[Belief, Choice]:
+    """Section 3: start, fit, set aside what differs, fit the rest."""
+    with stages.stage("find a start"):
+        choice = choose_start(job, scene, parameters, generator)
+    with stages.stage("fit every pixel"):
+        refined = fit_pixels(job, scene, parameters, choice.state)
+    with stages.stage("set aside what differs"):
+        differing = _differing_pixels(job, scene, parameters, belief_after(refined))
+    with stages.stage("fit the rest"):
+        refined = fit_rest(job, scene, parameters, refined, differing)
+        return belief_after(refined), choice
 
 
 def _differing_pixels(

@@ -157,6 +157,8 @@ def _independent_scale(fit: RangeFit, state: Tensor) -> float:
 
 
 def _noise_of_residuals(fit: RangeFit, state: Tensor) -> NoiseModel:
+    if not fit.observation.measured.any():
+        return NoiseModel(sigma_scale=1.0, drift=Drift(sigma=0.0, pixels=1.0))
     sigma = float(fit.observation.sigma[fit.observation.measured].median())
     filled = float(fit.observation.measured.flatten(1).double().sum(1).max())
     return noise_model(

@@ -62,8 +62,8 @@ class GaussNewtonConfig:
     """Share of the cost by which an accepted step may raise it: pixels and small faces put ripples
     on the cost of an image that say nothing about where its minimum is."""
     longest: float = 1.0
-    """Most that a step is lengthened where the gradient falls more slowly than the information says,
-    as it does where the derivatives are themselves noisy."""
+    """Most that a step is lengthened where the gradient falls more slowly than the information
+    says, as it does where the derivatives are themselves noisy."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
