@@ -60,7 +60,8 @@ def compare(
     predictions = [
         _predict(scene, job.sensor, poses[k], motions[k], belief) for k in range(len(job.frames))
     ]
-    belief = replace(belief, sigma_scale=_residual_scale(job, predictions, belief))
+    scale = belief.sigma_scale * _residual_scale(job, predictions, belief)
+    belief = replace(belief, sigma_scale=scale)
     return belief, tuple(
         _compare_frame(job, frame, prediction, belief)
         for frame, prediction in zip(job.frames, predictions, strict=True)

@@ -1,7 +1,7 @@
 """Parameter estimation (section 3): start, coarse choice, final fit, and what to say of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
@@ -23,7 +23,6 @@ from torchcal.calibrate.result import (
     Alternative,
     Estimate,
     FrameComparison,
-    PixelClass,
     Status,
 )
 from torchcal.calibrate.search import are_apart, find_candidates
@@ -33,6 +32,8 @@ from torchcal.model.scene import Scene
 
 RIVAL = 0.02
 """A state whose coarse cost is at most this share higher explains the images as well."""
+AGREEING = 3.0
+"""Standard deviations of the declared noise within which a pixel agrees with a pose."""
 EXPLAINED = 0.2
 """Share of the compared pixels that must agree before a pose counts as an explanation."""
 
@@ -88,14 +89,8 @@ def fit_rest(
     observation = cropped(observe(job).without(excluded))
     if not observation.measured.any():
         return before
-    refined = fine_fit(
-        observation,
-        scene.surface,
-        parameters,
-        before.state,
-        factor=fine_factor(observation),
-    )
-    return replace(refined, curvature=min(before.curvature, refined.curvature))
+    factor = fine_factor(observation)
+    return fine_fit(observation, scene.surface, parameters, before.state, factor=factor)
 
 
 def nominal_belief(job: Job, parameters: Parameters) -> Belief:
@@ -130,7 +125,7 @@ def estimate_of(
     jacobians = parameters.pose_jacobians(belief.state)
     rivals = choice.rivals if choice else ()
     if choice is None:
-        status, message = _status_of_nominal(comparisons)
+        status, message = _status_of_nominal(belief, comparisons)
     else:
         status = _status(parameters, belief, choice, comparisons, jacobians)
         message = _message(status, len(rivals))
@@ -162,23 +157,27 @@ def _status(
     comparisons: Sequence[FrameComparison],
     jacobians: Tensor,
 ) -> Status:
-    if not belief.covariance.isfinite().all() or agreement(comparisons) < EXPLAINED:
+    if not belief.covariance.isfinite().all() or agreement(comparisons, belief) < EXPLAINED:
         return Status.FAILED
     if not poses_are_told(belief.covariance, parameters, jacobians):
         return Status.UNOBSERVABLE
     return Status.AMBIGUOUS if choice.rivals else Status.CONVERGED
 
 
-def agreement(comparisons: Sequence[FrameComparison]) -> float:
-    """Share of the measured and usable pixels that agree with the model; 0 where there are none."""
-    labels = torch.stack([comparison.label for comparison in comparisons])
-    compared = (PixelClass.AGREES, PixelClass.NEARER, PixelClass.FARTHER)
-    total = sum(int((labels == kind).sum()) for kind in compared)
-    return int((labels == PixelClass.AGREES).sum()) / max(total, 1)
+def agreement(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
+    """Share of the compared pixels that agree within the noise that the job declares.
+
+    The comparison's own sigma' would not do: it is enlarged until it fits the residuals.
+    """
+    d = torch.cat([((c.measured - c.predicted) / c.sigma)[c.usable] for c in comparisons])
+    d = d[d.isfinite()] * belief.sigma_scale
+    return float((d.abs() <= AGREEING).double().mean()) if d.numel() else 0.0
 
 
-def _status_of_nominal(comparisons: Sequence[FrameComparison]) -> tuple[Status, str]:
-    if agreement(comparisons) < EXPLAINED:
+def _status_of_nominal(
+    belief: Belief, comparisons: Sequence[FrameComparison]
+) -> tuple[Status, str]:
+    if agreement(comparisons, belief) < EXPLAINED:
         return Status.FAILED, "Nothing was estimated; the nominal pose does not explain the images."
     return Status.CONVERGED, "Nothing was estimated: the images were compared at the nominal pose."
 

@@ -60,7 +60,11 @@ def _rings(image: Tensor) -> Tensor:
 
 
 def noise_model(
-    covariance: Float[np.ndarray, " lag"], sigma: float, *, shortest: float
+    covariance: Float[np.ndarray, " lag"],
+    sigma: float,
+    *,
+    shortest: float,
+    largest: float = float("inf"),
 ) -> NoiseModel:
     """Splits the correlation of residuals into independent noise and a slowly varying part.
 
@@ -68,6 +72,7 @@ def noise_model(
         covariance: Result of ``correlation`` (m^2).
         sigma: The sensor's typical sigma (m).
         shortest: Shortest correlation length (pixels) that can be represented.
+        largest: Largest sigma (m) of the slowly varying part.
     """
     lags = np.arange(1, LAGS + 1)
     values, weight = covariance[1:], 1.0 / np.sqrt(lags)
@@ -77,7 +82,7 @@ def noise_model(
     misfit = ((values - power[:, None] * shapes) * weight) ** 2
     best = int(misfit.sum(1).argmin())
     total = max(float(covariance[0]), 1e-18)
-    slow = min(float(power[best]), 0.98 * total)
+    slow = min(float(power[best]), largest**2, 0.98 * total)
     if slow < LEAST_SHARE * total:
         return NoiseModel(
             sigma_scale=total**0.5 / sigma, drift=Drift(sigma=0.0, pixels=float(LAGS))

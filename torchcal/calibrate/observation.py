@@ -10,12 +10,15 @@ from torch.nn import functional
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
 
+MASK_MARGIN = 5
+"""Pixels inside a mask's border that are left out: a sharp sensor's ranges and the mask itself are
+wrong there in the same way all along the border."""
 SMALLEST = 64
 """Images are not cropped to fewer pixels than this along a side."""
 JUMP = 0.02
 """Share of the range: a larger step off the plane of the neighbours is a depth jump."""
-SURE = 10.0
-"""Standard deviations of a pixel that such a step must have: four of those of a second difference."""
+SURE = 15.0
+"""Sigmas of a pixel that such a step must have: six of those of a second difference."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,6 +47,7 @@ def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
     if job.sensor.beam <= 1:
         # Real cameras mix or invent ranges at jumps; a wide beam mixes them as eq. 17 says.
         measured = measured & ~_near_jumps(ranges, measured, sigma)
+        measured = measured & ~_grown(~usable, MASK_MARGIN)
     return Observation(
         sensor=job.sensor,
         range=torch.where(measured, ranges, 0.0),
@@ -102,7 +106,11 @@ def _near_jumps(ranges: Tensor, measured: Tensor, sigma: Tensor) -> Tensor:
     inverse = torch.where(measured, ranges, torch.nan).reciprocal()
     bend = torch.maximum(_bend(inverse), _bend(inverse.mT).mT) * ranges.square()
     jump = bend > torch.maximum(JUMP * ranges, SURE * sigma)
-    return _dilated((jump & measured).to(sigma), 3) > 0
+    return _grown(jump & measured, 1)
+
+
+def _grown(mask: Tensor, pixels: int) -> Tensor:
+    return _dilated(mask.float(), 2 * pixels + 1) > 0
 
 
 def _bend(images: Tensor) -> Tensor:

@@ -31,6 +31,15 @@ TOLERANCE = 0.1
 """Shortest step of the final fits, in standard deviations: less cannot be seen in the result."""
 LONGEST = 10.0
 """Most that a step is lengthened: real models are themselves noisy, and so are their slopes."""
+PROBE = 20.0
+"""Standard deviations over which the curvature of the cost is looked at: wider than its ripples."""
+LEAST_CURVATURE = 0.05
+"""Less is not told from none."""
+LARGEST_DRIFT = 0.5
+"""Most of the slowly varying error, in the declared sigma of a pixel. What is alike over some
+distance beyond that is a wrong model, which a field must not explain away."""
+INLIER = 3.0
+"""Robust standard deviations within which residuals tell about the noise."""
 BLOCK = 24
 """Side (pixels) of the blocks whose gradients are taken as independent; longer with drift."""
 
@@ -45,8 +54,6 @@ class Refined:
     factor: int
     """Block size of the resolution: pixels of the image for one of the fit."""
     solution: Solution
-    curvature: float
-    """The least ``Solution.curvature`` of the fits that led to the state."""
 
 
 def coarse_factor(observation: Observation) -> int:
@@ -120,18 +127,12 @@ def fine_fit(
     )
     fit = with_noise(fit, state, factor)
     config = GaussNewtonConfig(
-        iterations=ITERATIONS, ripple=RIPPLE, damping=1e-6, longest=LONGEST, tolerance=TOLERANCE
+        iterations=ITERATIONS, ripple=RIPPLE, longest=LONGEST, tolerance=TOLERANCE
     )
-    first = minimise(fit.evaluate, parameters.retract, state[None], config)
-    fit = with_noise(fit, first.state[0], factor)
-    last = minimise(fit.evaluate, parameters.retract, first.state, config)
-    return Refined(
-        state=last.state[0],
-        fit=fit,
-        factor=factor,
-        solution=last,
-        curvature=float(torch.minimum(first.curvature, last.curvature)),
-    )
+    solution = minimise(fit.evaluate, parameters.retract, state[None], config)
+    fit = with_noise(fit, solution.state[0], factor)
+    solution = minimise(fit.evaluate, parameters.retract, solution.state, config)
+    return Refined(state=solution.state[0], fit=fit, factor=factor, solution=solution)
 
 
 def with_noise(fit: RangeFit, state: Float[Tensor, "2 4 4"], factor: int) -> RangeFit:
@@ -141,7 +142,7 @@ def with_noise(fit: RangeFit, state: Float[Tensor, "2 4 4"], factor: int) -> Ran
         drift = Drift(sigma=known.sigma, pixels=known.pixels / factor)
         fit = replace(fit, drift=drift, cutoff=robust.EFFICIENT)
         return replace(fit, sigma_scale=max(1.0, _independent_scale(fit, state)))
-    model = _noise_of_residuals(fit, state)
+    model = _noise_of_residuals(fit, state, factor)
     drift = model.drift if model.drift.sigma > 0 else None
     return replace(fit, drift=drift, sigma_scale=model.sigma_scale, cutoff=robust.EFFICIENT)
 
@@ -156,7 +157,7 @@ def _independent_scale(fit: RangeFit, state: Tensor) -> float:
     return robust.robust_scale(torch.cat(v))
 
 
-def _noise_of_residuals(fit: RangeFit, state: Tensor) -> NoiseModel:
+def _noise_of_residuals(fit: RangeFit, state: Tensor, factor: int) -> NoiseModel:
     if not fit.observation.measured.any():
         return NoiseModel(sigma_scale=1.0, drift=Drift(sigma=0.0, pixels=1.0))
     sigma = float(fit.observation.sigma[fit.observation.measured].median())
@@ -164,17 +165,39 @@ def _noise_of_residuals(fit: RangeFit, state: Tensor) -> NoiseModel:
     return noise_model(
         correlation(_inliers(fit, state)),
         sigma,
+        largest=LARGEST_DRIFT * sigma * factor,
         shortest=(filled / COEFFICIENTS) ** 0.5 / SPACING,
     )
 
 
 def _inliers(fit: RangeFit, state: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Residuals (m) of each frame and which of them lie within the cut-off."""
-    for frame in fit.residuals(state):
-        limit = fit.cutoff * frame.sigma
-        if fit.drift is not None:
-            limit = torch.hypot(limit, torch.tensor(fit.cutoff * fit.drift.sigma).to(limit))
-        yield frame.residual, frame.compared & (frame.residual.abs() < limit)
+    """Residuals (m) of each frame, and which of them are no outliers among all."""
+    frames = list(fit.residuals(state))
+    v = torch.cat([(frame.residual / frame.sigma)[frame.compared] for frame in frames])
+    limit = INLIER * robust.robust_scale(v)
+    for frame in frames:
+        yield frame.residual, frame.compared & (frame.residual.abs() < limit * frame.sigma)
+
+
+def _curvature(refined: Refined) -> float:
+    """Change of the gradient over what the information says, at most 1.
+
+    Noise in the derivatives, from a model that was itself measured or from fine texture, adds to
+    the information and not to the curvature of the cost. Steps of ``PROBE`` standard deviations to
+    both sides, each across all directions at once, show it.
+    """
+    parameters = refined.fit.parameters
+    information = refined.solution.equations.information[0]
+    value, vector = torch.linalg.eigh(information)
+    signs = torch.ones(2, len(value), dtype=value.dtype, device=value.device)
+    signs[1, ::2] = -1.0
+    root = vector * value.clamp(min=1e-12).rsqrt()
+    steps = PROBE / len(value) ** 0.5 * signs @ root.mT
+    states = parameters.retract(refined.state.expand(4, 2, 4, 4), torch.cat([steps, -steps]))
+    gradient = refined.fit.evaluate(states).gradient
+    fell = 0.5 * ((gradient[2:] - gradient[:2]) * steps).sum()
+    expected = ((steps @ information) * steps).sum()
+    return float((fell / expected).clamp(LEAST_CURVATURE, 1.0))
 
 
 def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter"]:
@@ -192,5 +215,5 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
     prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
     information = refined.solution.equations.information[0] - prior
     excess = torch.linalg.lstsq(information, scatter).solution.diagonal().mean()
-    share = refined.curvature**2 / excess.clamp(min=1.0)
+    share = _curvature(refined) ** 2 / excess.clamp(min=1.0)
     return covariance(prior + share * information)

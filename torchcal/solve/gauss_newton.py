@@ -76,12 +76,6 @@ class Solution:
     stop: Int[Tensor, " batch"]
     """One ``StopReason`` each."""
     iterations: Int[Tensor, " batch"]
-    curvature: Float[Tensor, " batch"]
-    """Change of the gradient along the steps over what the information said, at most 1.
-
-    Noise in the derivatives adds to the information and not to the curvature of the cost. What the
-    data really tell is then less than the information says, by the square of this share.
-    """
 
 
 def minimise(
@@ -116,19 +110,14 @@ def minimise(
         accept = active & length.isfinite() & _is_finite(trial) & (trial.cost <= allowed)
         seen = accept & (length > 1.0)  # shorter steps see the ripple and not the curvature
         slopes = slopes + torch.where(seen, _slopes(current, trial, step), 0.0)
+        slopes = torch.where(active & ~accept, 0.0, slopes)  # a rejected step is not lengthened
         state = torch.where(_broadcast(accept, state), trial_state, state)
         current = trial.where(accept, current)
         damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=LEAST_DAMPING)
         iterations = iterations + active
         stop = torch.where(active & (damping > MOST_DAMPING), StopReason.STUCK.value, stop)
         stop = torch.where(active & (length < config.tolerance), StopReason.CONVERGED.value, stop)
-    return Solution(
-        state=state,
-        equations=current,
-        stop=stop,
-        iterations=iterations,
-        curvature=_curvature(slopes),
-    )
+    return Solution(state=state, equations=current, stop=stop, iterations=iterations)
 
 
 def _slopes(before: NormalEquations, after: NormalEquations, step: Tensor) -> Tensor:
