@@ -21,7 +21,7 @@ from torchcal.solve.image_equations import blockwise_scatter
 
 COARSE_SIDE = 60
 """The coarsest image has about so many pixels along its shorter side."""
-FINE_PIXELS = 1_600_000
+FINE_PIXELS = 600_000
 """Pixels of all frames together in the final fit of a sharp sensor; more are averaged in blocks."""
 RIPPLE = 0.005
 """Share of the cost that pixels changing from face to face may add in an accepted step."""
