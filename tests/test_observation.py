@@ -9,7 +9,7 @@ import torch
 from recordings import CAMERA, EYE, NO_DRIFT
 from torch import Tensor
 
-from torchcal.calibrate.observation import Observation, coarser, observe
+from torchcal.calibrate.observation import MASK_MARGIN, Observation, coarser, observe
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job
 from torchcal.model.sensor import Noise, Sensor
@@ -137,10 +137,13 @@ def test_masked_and_missing_pixels_are_not_measured():
     image[0, 0] = torch.nan
     usable = torch.ones(48, 64, dtype=torch.bool)
     usable[:, 40:] = False
-    observation = observe(job_of(image, usable=usable))
+    wide = observe(job_of(image, usable=usable, beam=3))
     expected = usable.clone()
     expected[0, 0] = False
-    assert torch.equal(observation.measured[0], expected)
+    assert torch.equal(wide.measured[0], expected)
+    sharp = observe(job_of(image, usable=usable))
+    expected[:, 40 - MASK_MARGIN :] = False
+    assert torch.equal(sharp.measured[0], expected)
     assert (observation.range[0][~expected] == 0.0).all()
     assert observation.sigma.isfinite().all()
 

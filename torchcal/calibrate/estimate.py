@@ -125,7 +125,7 @@ def estimate_of(
     jacobians = parameters.pose_jacobians(belief.state)
     rivals = choice.rivals if choice else ()
     if choice is None:
-        status, message = _status_of_nominal(belief, comparisons)
+        status, message = _status_of_nominal(parameters, belief, comparisons)
     else:
         status = _status(parameters, belief, choice, comparisons, jacobians)
         message = _message(status, len(rivals))
@@ -175,11 +175,12 @@ def agreement(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
 
 
 def _status_of_nominal(
-    belief: Belief, comparisons: Sequence[FrameComparison]
+    parameters: Parameters, belief: Belief, comparisons: Sequence[FrameComparison]
 ) -> tuple[Status, str]:
     if agreement(comparisons, belief) < EXPLAINED:
         return Status.FAILED, "Nothing was estimated; the nominal pose does not explain the images."
-    return Status.CONVERGED, "Nothing was estimated: the images were compared at the nominal pose."
+    why = "Nothing was estimated" if parameters.names else "The job declares nothing unknown"
+    return Status.CONVERGED, f"{why}: the images were compared at the nominal pose."
 
 
 def _message(status: Status, rivals: int) -> str:
