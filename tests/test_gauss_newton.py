@@ -194,3 +194,19 @@ def test_only_singular_elements_have_no_covariance(rng):
     for i in (0, 4):
         assert_close(found[i], covariance(information[i]), rtol=0, atol=0)
         assert_close(found[i], torch.linalg.inv(information[i]))
+
+
+def test_steps_are_lengthened_where_the_gradient_falls_too_slowly():
+    def overstated(x: torch.Tensor) -> NormalEquations:
+        """A parabola whose information is ten times its curvature."""
+        return NormalEquations(
+            cost=0.05 * x[:, 0].square(),
+            information=torch.ones(len(x), 1, 1).to(x),
+            gradient=-0.1 * x,
+        )
+
+    start = torch.tensor([[1000.0], [-400.0]], dtype=torch.float64)
+    plain = minimise(overstated, add, start, GaussNewtonConfig(iterations=6))
+    longer = minimise(overstated, add, start, GaussNewtonConfig(iterations=6, longest=20.0))
+    assert_close(plain.state / start, torch.full((2, 1), 0.9**6).to(start), rtol=1e-3, atol=0)
+    assert ((longer.state / start).abs() < 1e-2).all()

@@ -144,8 +144,8 @@ def test_masked_and_missing_pixels_are_not_measured():
     sharp = observe(job_of(image, usable=usable))
     expected[:, 40 - MASK_MARGIN :] = False
     assert torch.equal(sharp.measured[0], expected)
-    assert (observation.range[0][~expected] == 0.0).all()
-    assert observation.sigma.isfinite().all()
+    assert (sharp.range[0][~expected] == 0.0).all()
+    assert sharp.sigma.isfinite().all()
 
 
 def test_sigma_is_the_sensors_at_the_measured_range():
