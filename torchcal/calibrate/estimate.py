@@ -29,6 +29,7 @@ from torchcal.calibrate.search import are_apart, find_candidates
 from torchcal.geometry import gaussian
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
+from torchcal.model.sensor import Drift
 
 RIVAL = 0.02
 """A state whose coarse cost is at most this share higher explains the images as well."""
@@ -104,14 +105,13 @@ def nominal_belief(job: Job, parameters: Parameters) -> Belief:
     )
 
 
-def belief_after(refined: Refined) -> Belief:
-    """What is believed after a fit."""
-    drift = refined.fit.drift
+def belief_after(refined: Refined, slow: Drift) -> Belief:
+    """What is believed after a fit, with the slowly varying error (pixels of the images)."""
     return Belief(
         state=refined.state,
         covariance=estimated_covariance(refined),
-        drift_sigma=drift.sigma if drift else 0.0,
-        drift_pixels=drift.pixels * refined.factor if drift else 0.0,
+        drift_sigma=slow.sigma,
+        drift_pixels=slow.pixels if slow.sigma > 0 else 0.0,
     )
 
 

@@ -21,6 +21,7 @@ from torchcal.calibrate.estimate import (
     nominal_belief,
 )
 from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
 from torchcal.calibrate.result import Calibration, FrameComparison
 from torchcal.calibrate.update import propose_update
@@ -92,10 +93,12 @@ def _estimated(
     with stages.stage("fit every pixel"):
         refined = fit_pixels(job, scene, parameters, choice.state)
     with stages.stage("set aside what differs"):
-        differing = _differing_pixels(job, scene, parameters, belief_after(refined))
+        # Set aside for the fit is what its own noise model does not explain.
+        belief = belief_after(refined, fitted_drift(refined))
+        differing = _differing_pixels(job, scene, parameters, belief)
     with stages.stage("fit the rest"):
         refined = fit_rest(job, scene, parameters, refined, differing)
-        return belief_after(refined), choice
+        return belief_after(refined, slow_error(refined)), choice
 
 
 def _differing_pixels(

@@ -1,6 +1,7 @@
 """From a start to the estimate on every pixel: coarse to fine, noise model, covariance."""
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -142,7 +143,7 @@ def with_noise(fit: RangeFit, state: Float[Tensor, "2 4 4"], factor: int) -> Ran
         drift = Drift(sigma=known.sigma, pixels=known.pixels / factor)
         fit = replace(fit, drift=drift, cutoff=robust.EFFICIENT)
         return replace(fit, sigma_scale=max(1.0, _independent_scale(fit, state)))
-    model = _noise_of_residuals(fit, state, factor)
+    model = _noise_of_residuals(fit, state, largest=LARGEST_DRIFT * factor)
     drift = model.drift if model.drift.sigma > 0 else None
     return replace(fit, drift=drift, sigma_scale=model.sigma_scale, cutoff=robust.EFFICIENT)
 
@@ -157,7 +158,27 @@ def _independent_scale(fit: RangeFit, state: Tensor) -> float:
     return robust.robust_scale(torch.cat(v))
 
 
-def _noise_of_residuals(fit: RangeFit, state: Tensor, factor: int) -> NoiseModel:
+def fitted_drift(refined: Refined) -> Drift:
+    """The slowly varying noise that the fit used, in pixels of the images."""
+    drift = refined.fit.drift or Drift(sigma=0.0, pixels=1.0)
+    return replace(drift, pixels=drift.pixels * refined.factor)
+
+
+def slow_error(refined: Refined) -> Drift:
+    """What the comparison must expect to vary slowly, in pixels of the images.
+
+    It is the whole of it, not only the part that the fit takes for noise: the operator is not to be
+    told of objects where camera and model merely differ.
+    """
+    known = refined.fit.observation.sensor.noise.drift
+    if known is not None:
+        return known
+    drift = _noise_of_residuals(refined.fit, refined.state, largest=math.inf).drift
+    return replace(drift, pixels=drift.pixels * refined.factor)
+
+
+def _noise_of_residuals(fit: RangeFit, state: Tensor, *, largest: float) -> NoiseModel:
+    """Noise model of the residuals; ``largest`` slowly varying part in sigmas of the pixels."""
     if not fit.observation.measured.any():
         return NoiseModel(sigma_scale=1.0, drift=Drift(sigma=0.0, pixels=1.0))
     sigma = float(fit.observation.sigma[fit.observation.measured].median())
@@ -165,7 +186,7 @@ def _noise_of_residuals(fit: RangeFit, state: Tensor, factor: int) -> NoiseModel
     return noise_model(
         correlation(_inliers(fit, state)),
         sigma,
-        largest=LARGEST_DRIFT * sigma * factor,
+        largest=largest * sigma,
         shortest=(filled / COEFFICIENTS) ** 0.5 / SPACING,
     )
 

@@ -75,8 +75,10 @@ def without_nan(data: Any) -> Any:
     return data
 
 
-def write_results(calibration: Calibration, folder: Path) -> None:
-    """Writes everything that a calibration leaves behind into an existing folder."""
+def write_results(calibration: Calibration, folder: Path | str) -> None:
+    """Writes everything that a calibration leaves behind into a folder."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     pictures = list(_write_pictures(calibration, folder))
     _write_robot(calibration, folder)
     _write_world(calibration, folder)
