@@ -33,6 +33,8 @@ from torchcal.model.sensor import Drift
 
 RIVAL = 0.02
 """A state whose coarse cost is at most this share higher explains the images as well."""
+FARTHEST = 5.0
+"""Prior sigmas: an estimate farther from the nominal state contradicts what the job believes."""
 AGREEING = 3.0
 """Standard deviations of the declared noise within which a pixel agrees with a pose."""
 EXPLAINED = 0.2
@@ -159,19 +161,26 @@ def _status(
 ) -> Status:
     if not belief.covariance.isfinite().all() or agreement(comparisons, belief) < EXPLAINED:
         return Status.FAILED
+    moved = parameters.difference(belief.state, parameters.nominal) / parameters.prior_sigma
+    if (moved.abs() > FARTHEST).any():
+        return Status.FAILED
     if not poses_are_told(belief.covariance, parameters, jacobians):
         return Status.UNOBSERVABLE
     return Status.AMBIGUOUS if choice.rivals else Status.CONVERGED
 
 
 def agreement(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
-    """Share of the compared pixels that agree within the noise that the job declares.
+    """Share of the compared pixels that agree within the declared noise, in the worst frame.
 
     The comparison's own sigma' would not do: it is enlarged until it fits the residuals.
     """
-    d = torch.cat([((c.measured - c.predicted) / c.sigma)[c.usable] for c in comparisons])
-    d = d[d.isfinite()] * belief.sigma_scale
-    return float((d.abs() <= AGREEING).double().mean()) if d.numel() else 0.0
+    shares = []
+    for c in comparisons:
+        d = ((c.measured - c.predicted) / c.sigma)[c.usable]
+        d = d[d.isfinite()] * belief.sigma_scale
+        if d.numel():
+            shares.append(float((d.abs() <= AGREEING).double().mean()))
+    return min(shares, default=0.0)
 
 
 def _status_of_nominal(
@@ -190,5 +199,5 @@ def _message(status: Status, rivals: int) -> str:
         "without knowing which is right.",
         Status.UNOBSERVABLE: "The images leave the sensor's pose open in some direction: what is "
         "given there comes from the prior.",
-        Status.FAILED: "No pose near the nominal one explains the images.",
+        Status.FAILED: "No pose near the nominal one explains all images.",
     }[status]

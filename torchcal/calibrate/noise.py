@@ -81,6 +81,7 @@ def noise_model(
     power = np.clip((shapes * values) @ weight**2 / (shapes**2 @ weight**2), 0.0, None)
     misfit = ((values - power[:, None] * shapes) * weight) ** 2
     best = int(misfit.sum(1).argmin())
+    sigma = max(sigma, 1e-9)
     total = max(float(covariance[0]), 1e-18)
     slow = min(float(power[best]), largest**2, 0.98 * total)
     if slow < LEAST_SHARE * total:

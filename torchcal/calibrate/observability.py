@@ -55,7 +55,13 @@ def poses_are_told(
     parameters: Parameters,
     pose_jacobians: Float[Tensor, "frame 6 parameter"],
 ) -> bool:
-    """Whether the images leave at most half of the prior's sigma in every frame's sensor pose."""
+    """Whether the images leave at most half of the prior's sigma in every frame's sensor pose.
+
+    Where no sensor pose depends on the unknowns, it is asked of the unknowns themselves: a robot's
+    base before a sensor that stands still.
+    """
+    if not pose_jacobians.any():
+        return not unobservable_directions(covariance, parameters)
     prior = torch.diag(parameters.prior_sigma.square())
     for J in pose_jacobians:
         before, after = (gaussian.moved_covariance(P, J) for P in (prior, covariance))

@@ -112,7 +112,7 @@ def _read(file: Path, options: Options) -> Job:
 
 
 def _calibrate(job: Job, options: Options, report: Report, *, estimate: bool = True) -> Calibration:
-    generator = torch.Generator().manual_seed(options.seed)
+    generator = torch.Generator().manual_seed(options.seed % 2**63)
     return calibrate(job, estimate=estimate, generator=generator, progress=report)
 
 

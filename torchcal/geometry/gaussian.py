@@ -42,5 +42,7 @@ def left_over(
         prior's sigmas, as columns of length 1. NaN if the covariance is not finite.
     """
     scaled = covariance / prior_sigma[:, None] / prior_sigma
+    if not scaled.isfinite().all():
+        return torch.full_like(prior_sigma, torch.nan), torch.full_like(scaled, torch.nan)
     ratio, direction = torch.linalg.eigh(0.5 * (scaled + scaled.mT))
     return ratio.clamp(min=0.0).sqrt().flip(0), direction.flip(1)

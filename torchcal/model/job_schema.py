@@ -115,7 +115,9 @@ class DriftTable(Table):
     """A slowly varying range error."""
 
     sigma: NotNegative = Field(description="a number in metres, at least 0")
-    pixels: Positive = Field(description="a correlation length in pixels, a number above 0")
+    pixels: float = Field(
+        ge=1.0, allow_inf_nan=False, description="a correlation length in pixels, at least 1"
+    )
 
     def as_drift(self) -> Drift:
         """The same as the method uses it."""

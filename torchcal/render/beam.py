@@ -18,19 +18,22 @@ def box_sum(image: Float[Tensor, "*batch h w"], side: int) -> Float[Tensor, "*ba
 
 def _window_sum(image: Tensor, side: int, axis: int) -> Tensor:
     """Sums over windows about each place of an axis, put together from sums over powers of two."""
-    size, half = image.shape[axis], side // 2
+    size = image.shape[axis]
+    side = min(side, 2 * size - 1)  # a wider window holds the whole axis everywhere, too
+    half = side // 2
     padding = (half, half) if axis == -1 else (0, 0, half, half)
     part = functional.pad(image, padding)
     total = torch.zeros_like(image)
     width, start = 1, 0
-    while width <= side:
+    while True:
         if side & width:
             total += part.narrow(axis, start, size)
             start += width
+        if 2 * width > side:
+            return total
         length = part.shape[axis] - width
         part = part.narrow(axis, 0, length) + part.narrow(axis, width, length)
         width *= 2
-    return total
 
 
 def beam_area(height: int, width: int, side: int, like: Tensor) -> Float[Tensor, "h w"]:
