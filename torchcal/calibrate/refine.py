@@ -235,6 +235,6 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
         scatter = scatter + blockwise_scatter(image, frame.jacobian, max(BLOCK, int(3 * length)))
     prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
     information = refined.solution.equations.information[0] - prior
-    excess = torch.linalg.lstsq(information, scatter).solution.diagonal().mean()
+    excess = (covariance(information) @ scatter).diagonal().mean().nan_to_num(1.0)
     share = _curvature(refined) ** 2 / excess.clamp(min=1.0)
     return covariance(prior + share * information)
