@@ -47,7 +47,7 @@ def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
     if job.sensor.beam <= 1:
         # Real cameras mix or invent ranges at jumps; a wide beam mixes them as eq. 17 says.
         measured = measured & ~_near_jumps(ranges, measured, sigma)
-        measured = measured & ~_grown(~usable, MASK_MARGIN)
+        measured = measured & ~grown(~usable, MASK_MARGIN)
     return Observation(
         sensor=job.sensor,
         range=torch.where(measured, ranges, 0.0),
@@ -106,10 +106,11 @@ def _near_jumps(ranges: Tensor, measured: Tensor, sigma: Tensor) -> Tensor:
     inverse = torch.where(measured, ranges, torch.nan).reciprocal()
     bend = torch.maximum(_bend(inverse), _bend(inverse.mT).mT) * ranges.square()
     jump = bend > torch.maximum(JUMP * ranges, SURE * sigma)
-    return _grown(jump & measured, 1)
+    return grown(jump & measured, 1)
 
 
-def _grown(mask: Tensor, pixels: int) -> Tensor:
+def grown(mask: Bool[Tensor, "frame h w"], pixels: int) -> Bool[Tensor, "frame h w"]:
+    """The masks and everything within so many pixels of them along rows and columns."""
     return _dilated(mask.float(), 2 * pixels + 1) > 0
 
 

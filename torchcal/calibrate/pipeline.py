@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.nn import functional
 
 from torchcal.calibrate.compare import Belief, compare
 from torchcal.calibrate.estimate import (
@@ -20,6 +19,7 @@ from torchcal.calibrate.estimate import (
     fit_rest,
     nominal_belief,
 )
+from torchcal.calibrate.observation import grown
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
@@ -116,9 +116,7 @@ def _differing(job: Job, frame: FrameComparison, correlation_pixels: float) -> T
     mask = torch.zeros_like(frame.usable)
     for region in regions:
         mask |= region.mask.to(mask.device)
-    side = 2 * (job.sensor.beam + 2) + 1
-    grown = functional.max_pool2d(mask[None, None].float(), side, stride=1, padding=side // 2)
-    return grown[0, 0] > 0
+    return grown(mask[None], job.sensor.beam + 2)[0]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

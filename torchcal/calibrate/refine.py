@@ -193,11 +193,12 @@ def _noise_of_residuals(fit: RangeFit, state: Tensor, *, largest: float) -> Nois
 
 def _inliers(fit: RangeFit, state: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     """Residuals (m) of each frame, and which of them are no outliers among all."""
-    frames = list(fit.residuals(state))
-    v = torch.cat([(frame.residual / frame.sigma)[frame.compared] for frame in frames])
+    # The derivatives are not kept: of a long recording they would fill the memory.
+    frames = [(f.residual, f.sigma, f.compared) for f in fit.residuals(state)]
+    v = torch.cat([(residual / sigma)[compared] for residual, sigma, compared in frames])
     limit = INLIER * robust.robust_scale(v)
-    for frame in frames:
-        yield frame.residual, frame.compared & (frame.residual.abs() < limit * frame.sigma)
+    for residual, sigma, compared in frames:
+        yield residual, compared & (residual.abs() < limit * sigma)
 
 
 def _curvature(refined: Refined) -> float:
@@ -228,7 +229,7 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
     Their excess is what neighbouring errors share beyond it: the information is divided by it.
     """
     fit = refined.fit
-    scatter = information = 0.0
+    scatter = torch.zeros_like(refined.solution.equations.information[0])
     for frame in fit.residuals(refined.state):
         image = fit.separate(frame)
         length = fit.drift.pixels if fit.drift is not None else 0.0
