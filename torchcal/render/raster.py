@@ -3,17 +3,16 @@
 Each thread enters all faces into rows of its own, so the answer does not depend on their number.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, no_type_check
+from typing import no_type_check
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from numba import njit
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.render.boxes import pixel_boxes, tile_cones
+from torchcal.render.compiled import compiled, in_threads
 
 TILE = 16
 """Side (pixels) of the tiles that faces are culled by."""
@@ -21,8 +20,6 @@ CULLED = 64
 """Faces whose box has more pixels than this are culled by tiles."""
 ROWS = 64
 """Rows that a thread takes at a time."""
-
-_compiled = njit(nogil=True, cache=True, error_model="numpy")
 
 
 def visible_faces(
@@ -45,18 +42,8 @@ def visible_faces(
         _enter(corners[view], faces.numpy(), boxes[view], optics, rows, target)
 
     tasks = [(i, row) for i in range(len(vertices)) for row in range(0, projection.height, ROWS)]
-    _run(enter, tasks)
+    in_threads(enter, tasks)
     return torch.from_numpy(winner)
-
-
-def _run(work: Any, tasks: list[tuple[int, int]]) -> None:
-    threads = min(torch.get_num_threads(), len(tasks))
-    if threads < 2:
-        for task in tasks:
-            work(task)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, tasks))
 
 
 def _cones_of_tiles(projection: Projection, like: Tensor) -> tuple[np.ndarray, np.ndarray]:
@@ -68,7 +55,7 @@ def _cones_of_tiles(projection: Projection, like: Tensor) -> tuple[np.ndarray, n
     return axis.numpy(), sine.numpy()
 
 
-@_compiled
+@compiled
 @no_type_check
 def _enter(vertices, faces, boxes, optics, rows, target):
     """Enters all faces of one view into some rows of the range and face images ``target``."""
@@ -89,7 +76,7 @@ def _enter(vertices, faces, boxes, optics, rows, target):
                 _draw(face, box, (*sides, normal), offset, optics, target)
 
 
-@_compiled
+@compiled
 @no_type_check
 def _draw(face, box, planes, offset, optics, target):
     """Enters one face at the pixels of its box, without the tiles that it does not touch."""
@@ -106,7 +93,7 @@ def _draw(face, box, planes, offset, optics, target):
                 _draw_span(face, span, planes, offset, rays, target)
 
 
-@_compiled
+@compiled
 @no_type_check
 def _draw_span(face, span, planes, offset, rays, target):
     """Enters one face at neighbouring pixels of a row: free of branches, so it is vectorised."""
@@ -124,7 +111,7 @@ def _draw_span(face, span, planes, offset, rays, target):
         winner_row[u] = face if nearer else winner_row[u]
 
 
-@_compiled
+@compiled
 @no_type_check
 def _may_touch(sides, axis, sine):
     """Whether a face may reach into a cone."""
@@ -134,7 +121,7 @@ def _may_touch(sides, axis, sine):
     return True
 
 
-@_compiled
+@compiled
 @no_type_check
 def _side(vertices, start, end, offset):
     """Normal of the plane through the sensor and a side, towards the inside of the face.
@@ -148,19 +135,19 @@ def _side(vertices, start, end, offset):
     return -x, -y, -z
 
 
-@_compiled
+@compiled
 @no_type_check
 def _plane(a, b, c):
     return _cross((b[0] - a[0], b[1] - a[1], b[2] - a[2]), (c[0] - a[0], c[1] - a[1], c[2] - a[2]))
 
 
-@_compiled
+@compiled
 @no_type_check
 def _cross(a, b):
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@_compiled
+@compiled
 @no_type_check
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

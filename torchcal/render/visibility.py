@@ -4,15 +4,12 @@ It answers with indices only; ranges and derivatives are then closed forms of th
 (``facets.py``), so nothing here needs to be differentiable.
 """
 
-from functools import cache
-from importlib import import_module
-from types import ModuleType
-
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection
 from torchcal.render import zbuffer
+from torchcal.render.machine_code import machine_code_for
 
 
 def visible_faces(
@@ -28,14 +25,5 @@ def visible_faces(
         faces: Vertices of each triangle; both sides of a face are seen.
         projection: The sensor's optics.
     """
-    compiled = machine_code() if vertices.device.type == "cpu" else None
-    return (compiled or zbuffer).visible_faces(vertices.detach(), faces, projection)
-
-
-@cache
-def machine_code() -> ModuleType | None:
-    """The module ``raster``; None where numba is missing or finds no place for what it compiles."""
-    try:
-        return import_module("torchcal.render.raster")
-    except (ImportError, RuntimeError):
-        return None
+    module = machine_code_for(vertices, "raster") or zbuffer
+    return module.visible_faces(vertices.detach(), faces, projection)
