@@ -55,7 +55,7 @@ def test_a_mesh_has_faces_and_finite_vertices():
         synthesise(empty, POSES, SENSOR)
     vertices = SURFACE.vertices.clone()
     vertices[5, 1] = torch.nan
-    with pytest.raises(TorchcalError, match="vertex 5 at .*nan"):
+    with pytest.raises(TorchcalError, match=r"vertex 5 at .*nan"):
         synthesise(replace(SURFACE, vertices=vertices), POSES, SENSOR)
 
 
@@ -124,8 +124,8 @@ def unchecked(surface: Surface, **tables: Tensor) -> Surface:
 def test_tables_have_the_shapes_of_a_mesh():
     with pytest.raises(TorchcalError, match=r"\(face, 3\)"):
         check_views(unchecked(SURFACE, faces=SURFACE.faces[:, :2]), POSES, SENSOR, None)
+    body = SURFACE.vertex_body[1:]
     with pytest.raises(TorchcalError, match="bodies of"):
-        body = SURFACE.vertex_body[1:]
         check_views(unchecked(SURFACE, vertex_body=body), POSES, SENSOR, None)
     with pytest.raises(TorchcalError, match="floating-point"):
         check_views(unchecked(SURFACE, vertices=SURFACE.vertices.long()), POSES, SENSOR, None)

@@ -19,8 +19,8 @@ def check_views(
     A pose with NaN is no mistake of the caller: it empties its own view.
 
     Raises:
-        TorchcalError: If the sensor's beam or limits, the mesh, or the poses are wrong; it says what
-            was found and what is expected.
+        TorchcalError: If the sensor's beam or limits, the mesh, the poses or the motion are wrong;
+            it says what was found and what is expected.
     """
     _check_sensor(sensor)
     bodies = _check_surface(surface)
