@@ -26,15 +26,16 @@ def pixel_boxes(
         faces: Vertices of each triangle.
         projection: The sensor's optics.
     """
-    low, high = _bounds(projection.pixels(vertices), faces)
-    finite = vertices.isfinite().all(-1)[:, faces].all(-1)
+    depth = vertices[..., 2:]
+    finite = (0.0 * vertices).sum(-1, keepdim=True)  # 0, or NaN
+    low, high = _bounds(torch.cat([projection.pixels(vertices), depth, finite], -1), faces)
+    hidden = low[..., 3].isnan()
     if isinstance(projection, Spherical):
         margin, bounded = _spherical_bounds(vertices[:, faces], projection)
-        hidden = ~finite
     else:
-        depth = vertices[..., 2]
-        margin, bounded = MARGIN, (depth > CLOSE)[:, faces].all(-1)
-        hidden = ~finite | (depth <= 0)[:, faces].all(-1)
+        margin, bounded = MARGIN, low[..., 2] > CLOSE
+        hidden |= high[..., 2] <= 0
+    low, high = low[..., :2], high[..., :2]
     size = torch.tensor([projection.width, projection.height], device=vertices.device).to(low)
     low = torch.where(bounded[..., None], (low - margin).ceil(), 0.0)
     high = torch.where(bounded[..., None], (high + margin).floor() + 1, size)
@@ -66,9 +67,9 @@ def tile_cones(
     return axis, (1.05 * chord).clamp(max=1.0) + 1e-6
 
 
-def _bounds(pixels: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """The least and the greatest pixel coordinates of each face's corners."""
-    a, b, c = (pixels[:, corner] for corner in faces.unbind(1))
+def _bounds(of_vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """The least and the greatest of what each face's corners have; NaN if one of them is."""
+    a, b, c = (of_vertices.index_select(1, corner) for corner in faces.unbind(1))
     return torch.minimum(torch.minimum(a, b), c), torch.maximum(torch.maximum(a, b), c)
 
 

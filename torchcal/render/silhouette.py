@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchcal.geometry.projection import Projection, Spherical
 from torchcal.model.scene import Surface
+from torchcal.render.facets import dot
 
 CLOSE = 1e-6
 """Edges are clipped at this depth (m) before a pinhole."""
@@ -58,20 +59,20 @@ def _reaches_image(start: Tensor, end: Tensor, projection: Projection) -> Tensor
 
 def _silhouettes(vertices: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
     """Silhouette edges and for each a vertex on its own side."""
-    apex = _apexes(surface)
-    first, last = vertices[surface.edges].unbind(1)
+    first, last = (vertices.index_select(0, end) for end in surface.edges.unbind(1))
     plane = torch.linalg.cross(first, last - first)
-    side = (plane[:, None] * vertices[apex.clamp(min=0)]).sum(-1).sign()
+    apexes, sides = zip(*(_beside(k, plane, vertices, surface) for k in (0, 1)), strict=True)
     border = surface.edge_faces[:, 1] < 0
-    edge = torch.nonzero(border | (side[:, 0] * side[:, 1] > 0))[:, 0]
-    return edge, apex[edge, 0]
+    edge = torch.nonzero(border | (sides[0] * sides[1] > 0))[:, 0]
+    return edge, apexes[0][edge]
 
 
-def _apexes(surface: Surface) -> Tensor:
-    """The corner opposite to each edge in its two faces; -1 where there is no second face."""
-    total = surface.faces[surface.edge_faces.clamp(min=0)].sum(-1)
-    apex = total - surface.edges.sum(-1, keepdim=True)
-    return torch.where(surface.edge_faces >= 0, apex, -1)
+def _beside(k: int, plane: Tensor, vertices: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+    """The corner opposite to each edge in its ``k``-th face; on which side of the edge it is."""
+    face = surface.faces.index_select(0, surface.edge_faces[:, k].clamp(min=0))
+    apex = face[:, 0] + face[:, 1] + face[:, 2] - surface.edges[:, 0] - surface.edges[:, 1]
+    apex = apex.where(surface.edge_faces[:, k] >= 0, surface.edges[:, 0])
+    return apex, dot(plane, vertices.index_select(0, apex)).sign()
 
 
 def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, Tensor]:

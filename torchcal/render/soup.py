@@ -12,11 +12,10 @@ from torch import Tensor
 from torchcal.model.scene import Surface
 
 
-def soup_of_views(surface: Surface, views: int) -> Surface:
-    """The triangles of as many copies of a surface as there are views."""
+def soup_of_views(surface: Surface, views: int, bodies: int) -> Surface:
+    """The triangles of as many copies of a surface as there are views, each with its bodies."""
     if views == 1:
         return surface
-    bodies = int(surface.vertex_body.max()) + 1 if len(surface.vertex_body) else 0
     vertices, faces = len(surface.vertices), len(surface.faces)
     return replace(
         surface,

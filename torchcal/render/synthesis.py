@@ -117,7 +117,8 @@ def _synthesise_views(
     # Silhouettes just outside the image share its outermost pixels.
     projection = sensor.projection.widened(1) if sensor.beam > 0 else sensor.projection
     face = visible_faces(vertices, surface.faces, projection)
-    soup, vertices = soup_of_views(surface, len(vertices)), vertices.flatten(0, 1)
+    soup = soup_of_views(surface, *Ts_sensor_body.shape[:2])
+    vertices = vertices.flatten(0, 1)
     facets = Facets.of(vertices, soup.faces)
     grid = pixel_grid(projection, dtype=vertices.dtype, device=vertices.device)
     # Faces nearer or farther than the sensor measures give no return.
