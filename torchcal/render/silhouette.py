@@ -17,7 +17,7 @@ from torchcal.render.facets import dot
 
 CLOSE = 1e-6
 """Edges are clipped at this depth (m) before a pinhole."""
-ARC = 8.0
+ARC = 4.0
 """Longest piece (pixels) of an edge that is taken as straight in a spherical image."""
 
 
@@ -88,17 +88,19 @@ def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, T
 
 
 def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
-    """Edges cut into pieces of at most ``ARC`` pixels."""
+    """Edges cut into pieces of at most ``ARC`` pixels, by directions only: their length is free."""
     assert isinstance(projection, Spherical)
     step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
-    normalize = torch.nn.functional.normalize
-    angle = (normalize(first, dim=-1) - normalize(last, dim=-1)).norm(dim=-1)
-    # Equal lengths on the edge are unequal angles: twice the pieces keep the longest one short.
-    count = (2.0 * angle / (ARC * step)).nan_to_num().ceil().clamp(min=1).long()
+    first, last = (torch.nn.functional.normalize(end, dim=-1) for end in (first, last))
+    angle = 2.0 * (0.5 * (last - first).norm(dim=-1)).clamp(max=1.0).asin().nan_to_num()
+    count = (angle / (ARC * step)).ceil().clamp(min=1).long()
     piece = torch.repeat_interleave(count)
     order = torch.arange(len(piece), device=count.device) - (count.cumsum(0) - count)[piece]
-    share = (order / count[piece])[:, None].to(first)
-    width = (1.0 / count[piece])[:, None].to(first)
-    direction = (last - first)[piece]
-    begin = first[piece] + share * direction
-    return begin, begin + width * direction, piece
+    a, b, whole = first[piece], last[piece], angle[piece, None].clamp(min=1e-9)
+
+    def direction(order: Tensor) -> Tensor:
+        """Equal steps of angle; a piece ends, to the last bit, where the next one starts."""
+        share = (order / count[piece])[:, None].to(a)
+        return ((1.0 - share) * whole).sin() * a + (share * whole).sin() * b
+
+    return direction(order), direction(order + 1), piece
