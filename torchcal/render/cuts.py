@@ -64,7 +64,7 @@ def find_cuts(
     A steep silhouette is cut with every row of pixel centres, a flat one with every column. Each of
     the ``views`` has the same number of edges of the surface.
     """
-    edges_of_view = max(len(surface.edges) // views, 1)
+    edges_of_view = max(len(surface.edges) // max(views, 1), 1)
     cuts = _cut(silhouette_pieces(vertices, surface, projection), projection, edges_of_view)
     # Onto the true edge, which is curved in a spherical image.
     place, _ = newton_step(cuts, EdgePlanes.of(cuts, vertices, surface).normal, projection)

@@ -42,7 +42,7 @@ class BodyMotion:
             kind = self.body_kind[self.face_body[face.clamp(min=0)]].view(views, 1, -1)
             for i in range(1, self.kinds.shape[1]):
                 result = torch.where(kind == i, self.kinds[:, i] @ twists, result)
-        return result.view(views, -1, height, width)
+        return result.view(views, self.kinds.shape[2], height, width)
 
     def of_faces(
         self,

@@ -69,7 +69,7 @@ class _FaceTest:
         # Both faces of an edge take its vertices in the same order, so no ray slips between them.
         first, last = soup[torch.minimum(start, end)], soup[torch.maximum(start, end)]
         edge = torch.linalg.cross(first, last - first)
-        flip = torch.where(start < end, 1.0, -1.0).to(soup) * facets.offset.sign()[:, None]
+        flip = torch.where(start < end, 1.0, -1.0).to(soup) * facets.offset[:-1].sign()[:, None]
         return _FaceTest(
             projection=projection,
             facets=facets,
