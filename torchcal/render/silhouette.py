@@ -17,8 +17,11 @@ from torchcal.render.facets import dot
 
 CLOSE = 1e-6
 """Edges are clipped at this depth (m) before a pinhole."""
-ARC = 4.0
+ARC = 8.0
 """Longest piece (pixels) of an edge that is taken as straight in a spherical image."""
+NEAREST = 0.05
+"""The chord between the directions of an edge's ends is not taken as nearer to the sensor than this
+(of 1): it bounds the pieces of an edge that all but touches the sensor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -91,16 +94,15 @@ def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor,
     """Edges cut into pieces of at most ``ARC`` pixels, by directions only: their length is free."""
     assert isinstance(projection, Spherical)
     step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
-    first, last = (torch.nn.functional.normalize(end, dim=-1) for end in (first, last))
-    angle = 2.0 * (0.5 * (last - first).norm(dim=-1)).clamp(max=1.0).asin().nan_to_num()
-    count = (angle / (ARC * step)).ceil().clamp(min=1).long()
+    a, b = (torch.nn.functional.normalize(end, dim=-1) for end in (first, last))
+    # Equal lengths on the chord are unequal angles: they are widest where it is nearest.
+    nearest = (0.5 * (a + b).norm(dim=-1)).clamp(min=NEAREST)
+    count = ((b - a).norm(dim=-1) / (nearest * ARC * step)).nan_to_num().ceil().clamp(min=1).long()
     piece = torch.repeat_interleave(count)
     order = torch.arange(len(piece), device=count.device) - (count.cumsum(0) - count)[piece]
-    a, b, whole = first[piece], last[piece], angle[piece, None].clamp(min=1e-9)
 
-    def direction(order: Tensor) -> Tensor:
-        """Equal steps of angle; a piece ends, to the last bit, where the next one starts."""
-        share = (order / count[piece])[:, None].to(a)
-        return ((1.0 - share) * whole).sin() * a + (share * whole).sin() * b
+    def place(order: Tensor) -> Tensor:
+        """On the chord; a piece ends, to the last bit, where the next one starts."""
+        return a[piece] + (order / count[piece])[:, None].to(a) * (b - a)[piece]
 
-    return direction(order), direction(order + 1), piece
+    return place(order), place(order + 1), piece

@@ -3,8 +3,7 @@
 The hard z-buffer says which face a pixel's centre meets, silhouettes shift the share of a pixel
 from one surface to the other, and the beam averages over its box. Range and derivative are closed
 forms of the visible faces' planes and edges, so automatic differentiation through the poses works
-as well. A pixel's mean is taken as the range in the middle of its parts: of the curvature of
-perspective it leaves out z'' / 24, with z'' the second difference from pixel to pixel.
+as well. What the range in a pixel's middle leaves out of its mean is z'' / 24.
 """
 
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
+from torchcal.render.bends import with_bends
 from torchcal.render.crossings import find_crossings
 from torchcal.render.facets import Facets
 from torchcal.render.layer import Layer, hard_layer, soften
@@ -128,10 +128,11 @@ def _synthesise_views(
     face = face.masked_fill(hits.scale == 0, -1)
     soup_face = in_soup(face, len(surface.faces))
     moving = None if motion is None else BodyMotion.of(motion, soup)
-    layer = hard_layer(soup_face, hits, moving)
+    layer = hard = hard_layer(soup_face, hits, moving)
     if sensor.beam > 0:
         crossings = find_crossings(vertices, soup, facets, soup_face, projection)
-        layer = soften(layer, crossings, facets, projection, moving)
+        layer = soften(hard, crossings, facets, projection, moving)
+        layer = with_bends(layer, hard, soup_face, facets, projection)
     rows, columns = _inside(projection, sensor.projection)
     layer, face = layer.crop(rows, columns), face[:, rows, columns]
     synthesis = _average(layer, face, max(sensor.beam, 1))
