@@ -3,7 +3,9 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -146,7 +148,7 @@ def _embree(setting: Setting, camera: Pinhole) -> Cast | None:
 
 def _open3d(setting: Setting, camera: Pinhole) -> Cast | None:
     try:
-        import open3d  # noqa: PLC0415
+        open3d: Any = import_module("open3d")
     except (ImportError, OSError):
         return None
     caster, rays = open3d.t.geometry.RaycastingScene(), _rays(camera)
@@ -178,9 +180,11 @@ def _cell(count: int) -> Setting:
         for item in machine_hall().objects
     ]
     if count == min(FACES):
-        placed = [part.bounding_box_oriented.to_mesh() for part in placed]
-        return _setting("cell", trimesh.util.concatenate(placed), (0.0, -2.1, 1.8), (0.0, 0.9, 1.0))
-    hall = trimesh.util.concatenate(placed)
+        boxes: Any = trimesh.util.concatenate(
+            [part.bounding_box_oriented.to_mesh() for part in placed]
+        )
+        return _setting("cell", boxes, (0.0, -2.1, 1.8), (0.0, 0.9, 1.0))
+    hall: Any = trimesh.util.concatenate(placed)
     edge = hall.scale / 10.0
     while len(hall.faces) < count:
         hall = hall.subdivide_to_size(edge)
