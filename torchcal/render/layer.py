@@ -1,4 +1,4 @@
-"""Every pixel's own area: filled by what its central ray meets, then shared along silhouettes."""
+"""Every pixel's own area: filled by what its central ray meets, or by regions of several faces."""
 
 from dataclasses import dataclass
 
@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.geometry.projection import Projection
-from torchcal.render.crossings import Crossings
-from torchcal.render.facets import Facets, Hits
+from torchcal.render.facets import Hits, dot
 from torchcal.render.motion import BodyMotion
+from torchcal.render.regions import Regions, Rims
+from torchcal.render.squares import Squares
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,26 +24,27 @@ class Layer:
     area_derivative: Float[Tensor, "view parameter h w"] | None = None
     """None if no silhouette borders on emptiness: all are 0."""
 
-    def crop(self, rows: slice, columns: slice) -> "Layer":
-        """The part in some rows and columns."""
-        change = self.area_derivative
-        return Layer(
-            total=self.total[..., rows, columns],
-            area=self.area[..., rows, columns],
-            total_derivative=self.total_derivative[..., rows, columns],
-            area_derivative=None if change is None else change[..., rows, columns],
-        )
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Part:
-    """A part of each crossing's pixel, by the range in its middle."""
+class BorderPlanes:
+    """The planes through the sensor that hold the borders."""
 
-    range: Tensor
-    slope: Tensor
-    """Derivative of the range to the middle's place."""
-    derivative: Tensor
-    """Derivative of the range to the parameters, the middle at rest."""
+    normal: Float[Tensor, "border 3"]
+    """first x last: not normalised."""
+    along: Float[Tensor, "border 3"]
+    """From the first end to the last one (m)."""
+    body: Int[Tensor, " border"]
+
+    def values(self, rims: Rims, lever: Float[Tensor, "rim 3"]) -> Float[Tensor, " rim"]:
+        """normal . lever: 0, but its derivative is not."""
+        return dot(self.normal[rims.border], lever)
+
+    def twist_derivatives(
+        self, rims: Rims, lever: Float[Tensor, "rim 3"]
+    ) -> Float[Tensor, "rim 6"]:
+        """Derivative of ``values`` to the motion of the border, a twist in the sensor's frame."""
+        along, normal = self.along[rims.border], self.normal[rims.border]
+        return torch.cat([torch.linalg.cross(along, lever), torch.linalg.cross(normal, lever)], -1)
 
 
 def hard_layer(face: Int[Tensor, "view h w"], hits: Hits, motion: BodyMotion | None) -> Layer:
@@ -56,69 +57,55 @@ def hard_layer(face: Int[Tensor, "view h w"], hits: Hits, motion: BodyMotion | N
     return Layer(total=hits.range, area=area, total_derivative=derivative)
 
 
-def soften(
+def with_regions(
     layer: Layer,
-    crossings: Crossings,
-    facets: Facets,
-    projection: Projection,
+    squares: Squares,
+    regions: Regions,
+    hits: Hits,
+    rims: Rims,
+    planes: BorderPlanes,
     motion: BodyMotion | None,
 ) -> Layer:
-    """Gives the strips beyond the silhouettes to the surfaces that are seen there.
+    """Fills the squares by regions and lets these move with their rims.
 
-    In the row of a crossing the pixel's own face keeps the part from -1/2 to ``gap``, the other
-    face takes the strip from there to 1/2. Each part counts with the range in its middle: no plane
-    is extended beyond its silhouette, where one that is seen edge-on would be anywhere.
+    Args:
+        layer: The layer in which every pixel shows one face.
+        squares: The pixels to fill.
+        regions: What they show.
+        hits: The mean ranges of the regions.
+        rims: Where regions end.
+        planes: Of the borders.
+        motion: How bodies move with the parameters.
     """
-    gap, own, other = crossings.gap, crossings.own_face, crossings.other_face
-    kept_width, strip_width = 0.5 + gap, 0.5 - gap
-    kept = _part(own, 0.5 * (gap - 0.5), crossings, facets, projection, motion)
-    strip = _part(other, 0.5 * (gap + 0.5), crossings, facets, projection, motion)
-    view, (u, v) = crossings.view, crossings.pixel.unbind(1)
-    place = (view, v, u)
-    gained = crossings.sign * ((other >= 0).to(gap) - (own >= 0).to(gap))
-    change = kept_width * kept.range + strip_width * strip.range - layer.total[place]
-    total = _add(layer.total, place, crossings.sign * change)
-    area = _add(layer.area, place, strip_width * gained)
+    met = (hits.scale != 0).to(hits.range) * regions.area
+
+    def summed(of_regions: Tensor, of_rims: Tensor) -> Tensor:
+        zeros = of_regions.new_zeros(len(squares.view), *of_regions.shape[1:])
+        return zeros.index_add(0, regions.square, of_regions).index_add(0, rims.square, of_rims)
+
+    place = (squares.view, squares.v, squares.u)
+    total = summed(hits.range * regions.area, planes.values(rims, rims.total_lever))
+    area = summed(met, planes.values(rims, rims.area_lever))
+    total = layer.total.index_put(place, total.to(layer.total))
+    area = layer.area.index_put(place, area.to(layer.area))
     if motion is None:
         return Layer(total=total, area=area, total_derivative=layer.total_derivative)
-    to_gap = kept.range - strip.range + 0.5 * (kept_width * kept.slope + strip_width * strip.slope)
-    gap_derivative = motion.of_bodies(crossings.gap_derivative, crossings.body, view)
-    derivative = (
-        kept_width[:, None] * kept.derivative
-        + strip_width[:, None] * strip.derivative
-        + to_gap[:, None] * gap_derivative
-        - layer.total_derivative.movedim(1, -1)[place]
-    )
-    change = _add(layer.total_derivative, place, crossings.sign[:, None] * derivative)
-    if not gained.any():
+    view = squares.view[rims.square]
+
+    def of_rims(lever: Tensor) -> Tensor:
+        twists = planes.twist_derivatives(rims, lever)
+        return motion.of_bodies(twists, planes.body[rims.border], view)
+
+    twists = hits.twist_derivatives().mT * regions.area[:, None]
+    inner = motion.of_faces(twists, regions.face, squares.view[regions.square])
+    change = _put(layer.total_derivative, place, summed(inner, of_rims(rims.total_lever)))
+    if not rims.area_lever.any():
         return Layer(total=total, area=area, total_derivative=change)
-    lost = _add(torch.zeros_like(change), place, -gained[:, None] * gap_derivative)
+    lost = summed(torch.zeros_like(inner), of_rims(rims.area_lever))
+    lost = _put(torch.zeros_like(layer.total_derivative), place, lost)
     return Layer(total=total, area=area, total_derivative=change, area_derivative=lost)
 
 
-def _part(
-    face: Tensor,
-    offset: Tensor,
-    crossings: Crossings,
-    facets: Facets,
-    projection: Projection,
-    motion: BodyMotion | None,
-) -> _Part:
-    """The part whose middle is ``offset`` pixels along ``step`` from the pixel's centre."""
-    u, v = (crossings.pixel + offset.detach()[:, None] * crossings.step).unbind(1)
-    hits = facets.at(face, projection.rays(u, v))
-    to_u, to_v = projection.ray_derivatives(u, v)
-    slope = hits.slopes(to_u * crossings.step[:, :1] + to_v * crossings.step[:, 1:]).detach()
-    derivative = slope
-    if motion is not None:
-        derivative = motion.of_faces(hits.twist_derivatives().mT, face, crossings.view)
-    return _Part(
-        range=hits.range + slope * (offset - offset.detach()), slope=slope, derivative=derivative
-    )
-
-
-def _add(image: Tensor, place: tuple[Tensor, ...], values: Tensor) -> Tensor:
-    """Adds values, each with all parameters where the image has them, at places (view, v, u)."""
-    if image.ndim == 3:
-        return image.index_put(place, values, accumulate=True)
-    return image.movedim(1, -1).index_put(place, values, accumulate=True).movedim(-1, 1)
+def _put(image: Tensor, place: tuple[Tensor, ...], values: Tensor) -> Tensor:
+    """Sets values, each with all parameters, at places (view, v, u)."""
+    return image.movedim(1, -1).index_put(place, values.to(image)).movedim(-1, 1)

@@ -11,11 +11,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection, pixel_grid
-from torchcal.render.boxes import pixel_boxes, tile_cones
+from torchcal.render.boxes import pixel_boxes, tile_cones, tiles_of_points
 from torchcal.render.compiled import compiled, in_threads
+from torchcal.render.squares import TILE, Squares
 
-TILE = 16
-"""Side (pixels) of the tiles that faces are culled by."""
 CULLED = 64
 """Faces whose box has more pixels than this are culled by tiles."""
 ROWS = 64
@@ -46,12 +45,41 @@ def visible_faces(
     return torch.from_numpy(winner)
 
 
-def _cones_of_tiles(projection: Projection, like: Tensor) -> tuple[np.ndarray, np.ndarray]:
+def faces_at_points(
+    vertices: Float[Tensor, "view vertex 3"],
+    faces: Int[Tensor, "face 3"],
+    projection: Projection,
+    squares: Squares,
+    square: Int[Tensor, " point"],
+    rays: Float[Tensor, "point 3"],
+) -> Int[Tensor, " point"]:
+    """As ``visibility.faces_at_points``, for tensors on the CPU."""
+    winner = np.full(len(square), -1)
+    depth = np.full(len(square), np.inf, np.float32)
+    points = tiles_of_points(squares, square, projection, len(vertices)).numpy()
+    optics = (rays.T.contiguous().numpy(), *_cones_of_tiles(projection, vertices, wider=1))
+    boxes = pixel_boxes(vertices, faces, projection).numpy()
+    corners = vertices.contiguous().numpy()
+
+    def enter(task: tuple[int, int]) -> None:
+        view, row = task
+        rows = (row, min(row + ROWS // TILE, points.shape[1]))
+        target = (depth, winner)
+        _enter_points(corners[view], faces.numpy(), boxes[view], optics, rows, points[view], target)
+
+    rows = range(0, points.shape[1], ROWS // TILE)
+    in_threads(enter, [(i, row) for i in range(len(vertices)) for row in rows])
+    return torch.from_numpy(winner)
+
+
+def _cones_of_tiles(
+    projection: Projection, like: Tensor, wider: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """Axes ``(rows, columns, 3)`` and sines ``(rows, columns)`` of the cones about all tiles."""
     v = torch.arange(0, projection.height, TILE)
     u = torch.arange(0, projection.width, TILE)
     low = torch.stack(torch.meshgrid(u, v, indexing="xy"), -1)
-    axis, sine = tile_cones(low, low + TILE, projection, like)
+    axis, sine = tile_cones(low - wider, low + TILE + wider, projection, like)
     return axis.numpy(), sine.numpy()
 
 
@@ -74,6 +102,54 @@ def _enter(vertices, faces, boxes, optics, rows, target):
                 )
                 box = (left, right, top, bottom)
                 _draw(face, box, (*sides, normal), offset, optics, target)
+
+
+@compiled
+@no_type_check
+def _enter_points(vertices, faces, boxes, optics, rows, points, target):
+    """Enters all faces of one view at the points of some rows of tiles."""
+    columns = points.shape[1]
+    rays, axes, sines = optics
+    for face in range(len(faces)):
+        # Points are off the centres of their pixels.
+        left, right = max(boxes[face, 0] - 1, 0), boxes[face, 2] + 1
+        top, bottom = max(boxes[face, 1] - 1, 0), boxes[face, 3] + 1
+        left, right = left // TILE, min((right + TILE - 1) // TILE, columns)
+        top, bottom = max(top // TILE, rows[0]), min((bottom + TILE - 1) // TILE, rows[1])
+        if left >= right or top >= bottom:
+            continue
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        normal = _plane(vertices[a], vertices[b], vertices[c])
+        offset = _dot(normal, vertices[a])
+        if not abs(offset) > 0.0:
+            continue
+        sides = (
+            _side(vertices, a, b, offset),
+            _side(vertices, b, c, offset),
+            _side(vertices, c, a, offset),
+        )
+        for row in range(top, bottom):
+            for column in range(left, right):
+                first, count = points[row, column, 0], points[row, column, 1]
+                if count > 0 and _may_touch(sides, axes[row, column], sines[row, column]):
+                    span = (first, first + count)
+                    _draw_points(face, span, (*sides, normal), offset, rays, target)
+
+
+@compiled
+@no_type_check
+def _draw_points(face, span, planes, offset, rays, target):
+    """Enters one face at points that follow one another: free of branches as well."""
+    a, b, c, normal = planes
+    x, y, z = rays[0], rays[1], rays[2]
+    depth, winner = target
+    for i in range(span[0], span[1]):
+        ray = (x[i], y[i], z[i])
+        inside = (_dot(a, ray) >= 0) & (_dot(b, ray) >= 0) & (_dot(c, ray) >= 0)
+        t = np.float32(offset / _dot(normal, ray))
+        nearer = inside & (t > 0) & (t < depth[i])
+        depth[i] = t if nearer else depth[i]
+        winner[i] = face if nearer else winner[i]
 
 
 @compiled

@@ -16,14 +16,16 @@ from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
-from torchcal.render.bends import with_bends
-from torchcal.render.crossings import find_crossings
-from torchcal.render.facets import Facets
-from torchcal.render.layer import Layer, hard_layer, soften
+from torchcal.render.cells import cells_of
+from torchcal.render.facets import Facets, RayTurns, Spread
+from torchcal.render.layer import BorderPlanes, Layer, hard_layer, with_regions
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
+from torchcal.render.pieces import find_pieces
+from torchcal.render.regions import range_of_regions, regions_of, rims_of
+from torchcal.render.silhouette import borders_of, strokes_of
 from torchcal.render.soup import in_soup, soup_of_views
-from torchcal.render.visibility import visible_faces
+from torchcal.render.visibility import faces_at_points, visible_faces
 
 MET = 1e-3
 """Share of the beam that must meet the model before its mean is a prediction."""
@@ -113,36 +115,70 @@ def _views_at_once(surface: Surface, sensor: Sensor) -> int:
 def _synthesise_views(
     surface: Surface, Ts_sensor_body: Tensor, sensor: Sensor, motion: Tensor | None
 ) -> Synthesis:
+    projection = sensor.projection
     vertices = place_vertices(surface, Ts_sensor_body)
-    # Silhouettes just outside the image share its outermost pixels.
-    projection = sensor.projection.widened(1) if sensor.beam > 0 else sensor.projection
     face = visible_faces(vertices, surface.faces, projection)
     soup = soup_of_views(surface, *Ts_sensor_body.shape[:2])
     vertices = vertices.flatten(0, 1)
     facets = Facets.of(vertices, soup.faces)
-    grid = pixel_grid(projection, dtype=vertices.dtype, device=vertices.device)
+    u, v = pixel_grid(projection, dtype=vertices.dtype, device=vertices.device)
+    hits = facets.at(in_soup(face, len(surface.faces)), projection.rays(u, v))
     # Faces nearer or farther than the sensor measures give no return.
-    hits = facets.at(in_soup(face, len(surface.faces)), projection.rays(*grid)).between(
-        sensor.near, sensor.far
-    )
+    hits = hits.between(sensor.near, sensor.far)
     face = face.masked_fill(hits.scale == 0, -1)
     soup_face = in_soup(face, len(surface.faces))
     moving = None if motion is None else BodyMotion.of(motion, soup)
-    layer = hard = hard_layer(soup_face, hits, moving)
     if sensor.beam > 0:
-        crossings = find_crossings(vertices, soup, facets, soup_face, projection)
-        layer = soften(hard, crossings, facets, projection, moving)
-        layer = with_bends(layer, hard, soup_face, facets, projection)
-    rows, columns = _inside(projection, sensor.projection)
-    layer, face = layer.crop(rows, columns), face[:, rows, columns]
+        hits = hits.averaged(*_whole_pixels(u, v, projection))
+    layer = hard_layer(soup_face, hits, moving)
+    if sensor.beam > 0:
+        layer = _shared(layer, vertices, soup, facets, soup_face, sensor, moving)
     synthesis = _average(layer, face, max(sensor.beam, 1))
     return synthesis if motion is not None else replace(synthesis, jacobian=None)
 
 
-def _inside(wide: Projection, narrow: Projection) -> tuple[slice, slice]:
-    """The rows and columns of a widened image that are those of the image itself."""
-    top, left = (wide.height - narrow.height) // 2, (wide.width - narrow.width) // 2
-    return slice(top, top + narrow.height), slice(left, left + narrow.width)
+def _whole_pixels(u: Tensor, v: Tensor, projection: Projection) -> tuple[Spread, RayTurns]:
+    third = u.new_full((1,), 1.0 / 12.0)
+    to_u, to_v = projection.ray_derivatives(u, v)
+    turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
+    return Spread(uu=third, uv=torch.zeros_like(third), vv=third), turns
+
+
+def _shared(
+    layer: Layer,
+    vertices: Tensor,
+    soup: Surface,
+    facets: Facets,
+    soup_face: Tensor,
+    sensor: Sensor,
+    motion: BodyMotion | None,
+) -> Layer:
+    """Shares the pixels that borders cross among the faces that are seen in them."""
+    projection, views = sensor.projection, len(soup_face)
+    exact = vertices.double()
+    still = exact.detach()
+    borders = borders_of(vertices.detach(), soup, facets, projection)
+    strokes = strokes_of(still, borders, soup, projection)
+    squares, pieces = find_pieces(still, soup, borders, strokes, soup_face, projection)
+    cells = cells_of(pieces, len(squares.view))
+    rays = squares.rays(cells.square, *cells.centroids())
+    faces = soup.faces[: len(soup.faces) // views]
+    seen = faces_at_points(
+        still.view(views, -1, 3), faces, projection, squares, cells.square, rays
+    )
+    view = squares.view[cells.square]
+    seen = torch.where(seen < 0, seen, seen + view * len(faces))
+    regions = regions_of(cells, seen)
+    hits = range_of_regions(regions, squares, exact, soup, projection)
+    hits = hits.between(sensor.near, sensor.far)
+    first, last = exact[soup.edges[borders.edge]].unbind(1)
+    planes = BorderPlanes(
+        normal=torch.linalg.cross(first, last - first),
+        along=last - first,
+        body=soup.vertex_body[soup.edges[borders.edge, 0]],
+    )
+    rims = rims_of(cells, seen, pieces, squares, still, soup, planes.normal.detach())
+    return with_regions(layer, squares, regions, hits, rims, planes, motion)
 
 
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:

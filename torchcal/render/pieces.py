@@ -1,0 +1,181 @@
+"""Pieces: the parts of borders in the squares of single pixels."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchcal.geometry.projection import Projection
+from torchcal.model.scene import Surface
+from torchcal.render.facets import Facets, dot
+from torchcal.render.silhouette import Borders, Strokes
+from torchcal.render.squares import Squares, spread, square_numbers
+
+MANY = 16
+"""Squares with more pieces than this do without those of creases."""
+BEHIND = 1e-3
+"""Relative: a piece is behind a face where its range is greater by more than this. Where a body
+stands on another one its edges count, even if it has sunk in a little."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pieces:
+    """Straight lines in squares, in the order of the squares."""
+
+    square: Int[Tensor, " piece"]
+    border: Int[Tensor, " piece"]
+    jumps: Bool[Tensor, " piece"]
+    low: Float[Tensor, "piece 2"]
+    """The end (x, y) with the lesser y."""
+    high: Float[Tensor, "piece 2"]
+    range: Float[Tensor, "piece 2"]
+    """Of both ends, in lengths of the square's rays."""
+
+    def select(self, keep: Tensor) -> "Pieces":
+        """The pieces to keep."""
+        return Pieces(
+            square=self.square[keep],
+            border=self.border[keep],
+            jumps=self.jumps[keep],
+            low=self.low[keep],
+            high=self.high[keep],
+            range=self.range[keep],
+        )
+
+
+def find_pieces(
+    vertices: Float[Tensor, "vertex 3"],
+    surface: Surface,
+    borders: Borders,
+    strokes: Strokes,
+    face: Int[Tensor, "view h w"],
+    projection: Projection,
+) -> tuple[Squares, Pieces]:
+    """The pieces of all borders but for those behind a face that fills their square.
+
+    Args:
+        vertices: Points in the sensor's frame of their view (m), in double precision.
+        surface: The triangles of all views, see ``soup.py``.
+        borders: Edges of the surface.
+        strokes: Where they are in the images.
+        face: The face at the centre of every pixel.
+        projection: The sensor's optics.
+    """
+    view = surface.edges[borders.edge, 0] // max(len(vertices) // max(len(face), 1), 1)
+    number, border = _crossed_squares(strokes, view, projection)
+    number, square = torch.unique_consecutive(number, return_inverse=True)
+    squares = Squares.of(number, projection)
+    pieces = _clipped(vertices[surface.edges[borders.edge]], borders, squares, square, border)
+    central = face[squares.view, squares.v, squares.u]
+    pieces = pieces.select(~_hidden(pieces, squares, central, vertices, surface))
+    count = pieces.square.bincount(minlength=len(number))
+    pieces = pieces.select(pieces.jumps | (count[pieces.square] <= MANY))
+    kept, square = torch.unique_consecutive(pieces.square, return_inverse=True)
+    return squares.select(kept), Pieces(
+        square=square,
+        border=pieces.border,
+        jumps=pieces.jumps,
+        low=pieces.low,
+        high=pieces.high,
+        range=pieces.range,
+    )
+
+
+def _crossed_squares(
+    strokes: Strokes, view: Tensor, projection: Projection
+) -> tuple[Tensor, Tensor]:
+    """All pairs of a pixel, by its number, and a border whose stroke may cross it, in order."""
+    margin = strokes.margin
+    delta = strokes.end - strokes.start
+    low, high = (pick(strokes.start, strokes.end) for pick in (torch.minimum, torch.maximum))
+    first, count = _pixels_between(low[:, 1] - margin, high[:, 1] + margin, projection.height)
+    stroke, order = spread(count)
+    row = first[stroke] + order
+    # Between the borders of its row the stroke spans these columns.
+    slope = (delta[:, 0] / delta[:, 1]).nan_to_num(0.0, 0.0, 0.0)[stroke]
+    reach = (0.5 + margin)[stroke]
+    ends = []
+    for border in (row - reach, row + reach):
+        y = torch.minimum(torch.maximum(border, low[stroke, 1]), high[stroke, 1])
+        x = strokes.start[stroke, 0] + slope * (y - strokes.start[stroke, 1])
+        ends.append(torch.minimum(torch.maximum(x, low[stroke, 0]), high[stroke, 0]))
+    level = (delta[:, 1] == 0)[stroke]
+    left = torch.where(level, low[stroke, 0], torch.minimum(*ends)) - margin[stroke]
+    right = torch.where(level, high[stroke, 0], torch.maximum(*ends)) + margin[stroke]
+    first, count = _pixels_between(left, right, projection.width)
+    item, order = spread(count)
+    border = strokes.border[stroke[item]]
+    number = square_numbers(view[border], first[item] + order, row[item], projection)
+    borders = len(view) + 1
+    key = torch.unique(number * borders + border)
+    return key // borders, key % borders
+
+
+def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """The first pixel of each span, and how many of an axis there are."""
+    first = (low + 0.5).floor().clamp(0, size).long()
+    last = (high + 0.5).floor().clamp(-1, size - 1).long()
+    return first, (last - first + 1).clamp(min=0)
+
+
+def _clipped(
+    ends: Tensor, borders: Borders, squares: Squares, square: Tensor, border: Tensor
+) -> Pieces:
+    """Cuts every edge to the pyramid of its square's rays."""
+    axes = torch.stack(
+        [
+            torch.linalg.cross(squares.along_v, squares.origin),
+            torch.linalg.cross(squares.origin, squares.along_u),
+            torch.linalg.cross(squares.along_u, squares.along_v),
+        ]
+    )
+    axes = axes / dot(squares.along_u, axes[0])[:, None]
+    local = [[dot(axis[square], ends[border, k]) for axis in axes] for k in (0, 1)]
+    begin, end = torch.zeros_like(local[0][0]), torch.ones_like(local[0][0])
+    for axis in (0, 1):
+        for sign in (1.0, -1.0):
+            h0, h1 = (0.5 * p[2] + sign * p[axis] for p in local)
+            share = h0 / (h0 - h1)
+            begin = torch.where(h0 < 0, torch.maximum(begin, share), begin)
+            end = torch.where(h1 < 0, torch.minimum(end, share), end)
+            end = torch.where((h0 < 0) & (h1 < 0), -1.0, end)
+    keep = torch.nonzero(begin < end)[:, 0]
+    start = [p[keep] for p in local[0]]
+    delta = [b[keep] - a for a, b in zip(start, local[1], strict=True)]
+    points = []
+    for share in (begin[keep], end[keep]):
+        x, y, t = (a + share * d for a, d in zip(start, delta, strict=True))
+        points.append(torch.stack([x / t, y / t, t], -1))
+    upwards = (points[0][:, 1] <= points[1][:, 1])[:, None]
+    low, high = torch.where(upwards, *points), torch.where(upwards, points[1], points[0])
+    return Pieces(
+        square=square[keep],
+        border=border[keep],
+        jumps=borders.jumps[border[keep]],
+        low=low[:, :2].clamp(-0.5, 0.5),
+        high=high[:, :2].clamp(-0.5, 0.5),
+        range=torch.stack([low[:, 2], high[:, 2]], -1),
+    )
+
+
+def _hidden(
+    pieces: Pieces, squares: Squares, face: Tensor, vertices: Tensor, surface: Surface
+) -> Tensor:
+    """Pieces behind the face at their square's centre, where that face fills the square."""
+    corners = surface.faces[face.clamp(min=0)]
+    facets = Facets.of(vertices, corners)
+    offset = facets.offset[:-1].masked_fill(face < 0, 0.0)
+    points = vertices[corners].unbind(1)
+    fills = offset != 0
+    for k in range(3):
+        side = torch.linalg.cross(points[k], points[(k + 1) % 3] - points[k])
+        middle = dot(side, squares.origin)
+        reach = 0.5 * (dot(side, squares.along_u).abs() + dot(side, squares.along_v).abs())
+        fills &= middle * offset.sign() > reach
+    own = pieces.square
+    behind = fills[own]
+    for end, distance in zip((pieces.low, pieces.high), pieces.range.unbind(1), strict=True):
+        along = dot(facets.normal[own], squares.rays(own, *end.unbind(1)))
+        behind &= offset[own] / along < (1.0 - BEHIND) * distance
+    return behind

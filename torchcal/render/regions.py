@@ -1,0 +1,152 @@
+"""Regions: what each face fills of a square; and the rims along which regions meet at a jump."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchcal.geometry.projection import Projection
+from torchcal.model.scene import Surface
+from torchcal.render.cells import Cells
+from torchcal.render.facets import Facets, Hits, RayTurns, Spread, dot
+from torchcal.render.pieces import Pieces
+from torchcal.render.squares import Squares
+
+SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
+"""Gauss's points of a span from 0 to 1, each of weight 1/2: exact to the third order."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Regions:
+    """Parts of squares that are filled by one face each."""
+
+    square: Int[Tensor, " region"]
+    face: Int[Tensor, " region"]
+    """-1 where the model is empty."""
+    area: Float[Tensor, " region"]
+    """Pixels."""
+    centroid: Float[Tensor, "region 2"]
+    """(x, y) from the middle of the pixel."""
+    spread: Spread
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rims:
+    """Pieces along which the range jumps.
+
+    Motion of an edge whose plane through the sensor has the normal m changes the integrals over the
+    square by (change of m) . lever.
+    """
+
+    square: Int[Tensor, " rim"]
+    border: Int[Tensor, " rim"]
+    total_lever: Float[Tensor, "rim 3"]
+    area_lever: Float[Tensor, "rim 3"]
+
+
+def regions_of(cells: Cells, face: Int[Tensor, " cell"]) -> Regions:
+    """Joins neighbouring cells that show the same face."""
+    key = torch.stack([cells.square, face], -1)
+    _, region = torch.unique_consecutive(key, dim=0, return_inverse=True)
+    first = torch.nonzero(torch.cat([region[:1] == 0, region[1:] != region[:-1]]))[:, 0]
+    moments = torch.stack(_moments(cells), -1)
+    moments = moments.new_zeros(len(first), 6).index_add(0, region, moments)
+    area, x, y, xx, xy, yy = moments.unbind(-1)
+    filled = area > 0
+    safe = torch.where(filled, area, 1.0)
+    x, y, xx, xy, yy = (each / safe for each in (x, y, xx, xy, yy))
+    return Regions(
+        square=cells.square[first],
+        face=face[first].where(filled, -1),
+        area=area,
+        centroid=torch.stack([x, y], -1),
+        spread=Spread(
+            uu=(xx - x * x)[:, None], uv=(xy - x * y)[:, None], vv=(yy - y * y)[:, None]
+        ),
+    )
+
+
+def range_of_regions(
+    regions: Regions,
+    squares: Squares,
+    vertices: Float[Tensor, "vertex 3"],
+    surface: Surface,
+    projection: Projection,
+) -> Hits:
+    """The mean ranges of regions, and their derivatives."""
+    u = squares.u[regions.square] + regions.centroid[:, 0]
+    v = squares.v[regions.square] + regions.centroid[:, 1]
+    facets = Facets.of(vertices, surface.faces[regions.face.clamp(min=0)])
+    index = torch.arange(len(u), device=u.device).where(regions.face >= 0, -1)
+    to_u, to_v = projection.ray_derivatives(u, v)
+    turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
+    return facets.at(index, projection.rays(u, v)).averaged(regions.spread, turns)
+
+
+def rims_of(
+    cells: Cells,
+    face: Int[Tensor, " cell"],
+    pieces: Pieces,
+    squares: Squares,
+    vertices: Float[Tensor, "vertex 3"],
+    surface: Surface,
+    normal: Float[Tensor, "border 3"],
+) -> Rims:
+    """The rims between cells of different faces.
+
+    Args:
+        cells: All cells.
+        face: What is seen in them.
+        pieces: Their sides.
+        squares: Where they are.
+        vertices: Points (m) in the sensor's frame of their view.
+        surface: The triangles of all views.
+        normal: m of the borders.
+    """
+    left = torch.nonzero((cells.piece >= 0) & (face != face.roll(-1)))[:, 0]
+    piece, square = cells.piece[left], cells.square[left]
+    low, high = cells.right[left], cells.y[left]
+    start, end = (torch.stack([low[:, k], high[:, k]], -1) for k in (0, 1))
+    delta = end - start
+    m = normal[pieces.border[piece]]
+    to_u, to_v = dot(m, squares.along_u[square]), dot(m, squares.along_v[square])
+    # How far the left cell's area reaches beyond the line when m . ray rises by 1.
+    rate = -delta.square().sum(-1) / (to_u * delta[:, 1] - to_v * delta[:, 0])
+    total, area = torch.zeros_like(m), torch.zeros_like(m)
+    planes = [Facets.of(vertices, surface.faces[face[k].clamp(min=0)]) for k in (left, left + 1)]
+    own = torch.arange(len(left), device=left.device)
+    own = [own.where(face[k] >= 0, -1) for k in (left, left + 1)]
+    gained = (face[left] >= 0).to(m) - (face[left + 1] >= 0).to(m)
+    for share in SHARES:
+        rays = squares.rays(square, *(start + share * delta).unbind(-1))
+        jump = planes[0].ranges(own[0], rays) - planes[1].ranges(own[1], rays)
+        total = total + (0.5 * rate * jump)[:, None] * rays
+        area = area + (0.5 * rate * gained)[:, None] * rays
+    rim, index = torch.unique(piece, return_inverse=True)
+    levers = torch.cat([total, area], -1)
+    levers = levers.new_zeros(len(rim), 6).index_add(0, index, levers)
+    return Rims(
+        square=pieces.square[rim],
+        border=pieces.border[rim],
+        total_lever=levers[:, :3],
+        area_lever=levers[:, 3:],
+    )
+
+
+def _moments(cells: Cells) -> tuple[Tensor, ...]:
+    """Integrals over each cell of 1, x, y, x^2, x y and y^2."""
+    start, end = cells.y.unbind(1)
+    height = end - start
+    sums: list[Tensor] = []
+    for share in SHARES:
+        y = start + share * height
+        left = cells.left[:, 0] + share * (cells.left[:, 1] - cells.left[:, 0])
+        right = cells.right[:, 0] + share * (cells.right[:, 1] - cells.right[:, 0])
+        width, middle = right - left, 0.5 * (left + right)
+        weight = 0.5 * height * width
+        square = middle * middle + width * width / 12.0
+        terms = [weight, weight * middle, weight * y, weight * square]
+        terms += [weight * middle * y, weight * y * y]
+        sums = [a + b for a, b in zip(sums, terms, strict=True)] if sums else terms
+    return tuple(sums)
