@@ -39,17 +39,46 @@ class Cells:
         return low + share * (high - low), start + share * (end - start)
 
 
+    def select(self, keep: Tensor) -> "Cells":
+        """The cells to keep."""
+        return Cells(
+            square=self.square[keep],
+            y=self.y[keep],
+            left=self.left[keep],
+            right=self.right[keep],
+            piece=self.piece[keep],
+        )
+
+
+def joined(cells: Cells, others: Cells, pieces: int) -> tuple[Cells, Int[Tensor, " cell"]]:
+    """Cells of different squares in one order; what was where, the others after the first ones.
+
+    The pieces of the others are counted from ``pieces`` on.
+    """
+    order = torch.sort(torch.cat([cells.square, others.square]), stable=True).indices
+    piece = torch.where(others.piece < 0, -1, others.piece + pieces)
+    both = Cells(
+        square=torch.cat([cells.square, others.square]),
+        y=torch.cat([cells.y, others.y]),
+        left=torch.cat([cells.left, others.left]),
+        right=torch.cat([cells.right, others.right]),
+        piece=torch.cat([cells.piece, piece]),
+    )
+    return both.select(order), order
+
+
 def cells_of(pieces: Pieces, squares: int) -> Cells:
-    """Cuts all squares; each has a piece at least."""
+    """Cuts all squares that have a piece at least."""
     count = pieces.square.bincount(minlength=squares)
     start = count.cumsum(0) - count
     width = 2 ** (count - 1).clamp(min=0).double().log2().floor().long().add(1)
-    width = torch.where(count <= 1, 1, width)
+    width = torch.where(count <= 1, count, width)
     empty = pieces.low.new_zeros(0, 2)
     groups = [(count[:0], empty, empty, empty, count[:0])]
     groups += [
         _cells_of_group(pieces, torch.nonzero(width == k)[:, 0], start, count, k)
         for k in torch.unique(width).tolist()
+        if k
     ]
     square, y, left, right, piece = (torch.cat(part) for part in zip(*groups, strict=True))
     order = torch.sort(square, stable=True).indices

@@ -1,6 +1,6 @@
 """Pieces: the parts of borders in the squares of single pixels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -20,12 +20,25 @@ stands on another one its edges count, even if it has sunk in a little."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Seams:
+    """Lines along which faces that share no edge pass through one another, and the pixels that they may cross."""
+
+    ends: Float[Tensor, "seam 2 3"]
+    """Two points (m) of each line."""
+    number: Int[Tensor, " entry"]
+    """Numbers of pixels, see ``squares.py``."""
+    seam: Int[Tensor, " entry"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Pieces:
     """Straight lines in squares, in the order of the squares."""
 
     square: Int[Tensor, " piece"]
     border: Int[Tensor, " piece"]
+    """Seams are counted after all borders."""
     jumps: Bool[Tensor, " piece"]
+    """Of silhouettes."""
     low: Float[Tensor, "piece 2"]
     """The end (x, y) with the lesser y."""
     high: Float[Tensor, "piece 2"]
@@ -43,12 +56,22 @@ class Pieces:
             range=self.range[keep],
         )
 
+    def and_then(self, others: "Pieces") -> "Pieces":
+        """These pieces and after them others."""
+        return Pieces(
+            **{
+                each.name: torch.cat([getattr(self, each.name), getattr(others, each.name)])
+                for each in fields(self)
+            }
+        )
+
 
 def find_pieces(
     vertices: Float[Tensor, "vertex 3"],
     surface: Surface,
     borders: Borders,
     strokes: Strokes,
+    seams: Seams,
     face: Int[Tensor, "view h w"],
     projection: Projection,
 ) -> tuple[Squares, Pieces]:
@@ -59,14 +82,19 @@ def find_pieces(
         surface: The triangles of all views, see ``soup.py``.
         borders: Edges of the surface.
         strokes: Where they are in the images.
+        seams: Lines that are no edges.
         face: The face at the centre of every pixel.
         projection: The sensor's optics.
     """
     view = surface.edges[borders.edge, 0] // max(len(vertices) // max(len(face), 1), 1)
     number, border = _crossed_squares(strokes, view, projection)
+    key = torch.cat([number, seams.number]), torch.cat([border, seams.seam + len(view)])
+    number, border = _in_order(*key)
+    ends = torch.cat([vertices[surface.edges[borders.edge]], seams.ends])
+    jumps = torch.cat([borders.jumps, borders.jumps.new_zeros(len(seams.ends))])
     number, square = torch.unique_consecutive(number, return_inverse=True)
     squares = Squares.of(number, projection)
-    pieces = _clipped(vertices[surface.edges[borders.edge]], borders, squares, square, border)
+    pieces = _clipped(ends, jumps, squares, square, border)
     central = face[squares.view, squares.v, squares.u]
     pieces = pieces.select(~_hidden(pieces, squares, central, vertices, surface))
     count = pieces.square.bincount(minlength=len(number))
@@ -82,10 +110,34 @@ def find_pieces(
     )
 
 
+def with_seams(
+    pieces: Pieces,
+    squares: Squares,
+    square: Int[Tensor, " seam"],
+    ends: Float[Tensor, "seam 2 3"],
+    seam: int,
+) -> Pieces:
+    """All pieces of some squares and those of seams, which are counted from ``seam`` on, in order.
+
+    Args:
+        pieces: Known pieces of all squares.
+        squares: The pixels.
+        square: The squares of the seams, in order.
+        ends: Two points (m) of each.
+        seam: Number of the first one.
+    """
+    order = torch.arange(len(square), device=square.device)
+    found = _clipped(ends, order < 0, squares, square, order)
+    found = replace(found, border=found.border + seam)
+    own = pieces.select(torch.isin(pieces.square, found.square))
+    joined = own.and_then(found)
+    return joined.select(torch.sort(joined.square, stable=True).indices)
+
+
 def _crossed_squares(
     strokes: Strokes, view: Tensor, projection: Projection
 ) -> tuple[Tensor, Tensor]:
-    """All pairs of a pixel, by its number, and a border whose stroke may cross it, in order."""
+    """Pairs of a pixel, by its number, and a border whose stroke may cross it."""
     margin = strokes.margin
     delta = strokes.end - strokes.start
     low, high = (pick(strokes.start, strokes.end) for pick in (torch.minimum, torch.maximum))
@@ -107,9 +159,14 @@ def _crossed_squares(
     item, order = spread(count)
     border = strokes.border[stroke[item]]
     number = square_numbers(view[border], first[item] + order, row[item], projection)
-    borders = len(view) + 1
-    key = torch.unique(number * borders + border)
-    return key // borders, key % borders
+    return number, border
+
+
+def _in_order(number: Tensor, border: Tensor) -> tuple[Tensor, Tensor]:
+    """Pairs of a pixel and a border, each once, in order."""
+    count = border.max() + 1 if len(border) else 1
+    key = torch.unique(number * count + border)
+    return key // count, key % count
 
 
 def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -120,7 +177,7 @@ def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tenso
 
 
 def _clipped(
-    ends: Tensor, borders: Borders, squares: Squares, square: Tensor, border: Tensor
+    ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, border: Tensor
 ) -> Pieces:
     """Cuts every edge to the pyramid of its square's rays."""
     axes = torch.stack(
@@ -152,7 +209,7 @@ def _clipped(
     return Pieces(
         square=square[keep],
         border=border[keep],
-        jumps=borders.jumps[border[keep]],
+        jumps=jumps[border[keep]],
         low=low[:, :2].clamp(-0.5, 0.5),
         high=high[:, :2].clamp(-0.5, 0.5),
         range=torch.stack([low[:, 2], high[:, 2]], -1),

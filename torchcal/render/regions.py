@@ -92,6 +92,7 @@ def rims_of(
     vertices: Float[Tensor, "vertex 3"],
     surface: Surface,
     normal: Float[Tensor, "border 3"],
+    projection: Projection,
 ) -> Rims:
     """The rims between cells of different faces.
 
@@ -103,8 +104,11 @@ def rims_of(
         vertices: Points (m) in the sensor's frame of their view.
         surface: The triangles of all views.
         normal: m of the borders.
+        projection: The sensor's optics.
     """
     left = torch.nonzero((cells.piece >= 0) & (face != face.roll(-1)))[:, 0]
+    # Seams move with two bodies, but the range does not jump there.
+    left = left[pieces.border[cells.piece[left]] < len(normal)]
     piece, square = cells.piece[left], cells.square[left]
     low, high = cells.right[left], cells.y[left]
     start, end = (torch.stack([low[:, k], high[:, k]], -1) for k in (0, 1))
@@ -118,9 +122,11 @@ def rims_of(
     own = torch.arange(len(left), device=left.device)
     own = [own.where(face[k] >= 0, -1) for k in (left, left + 1)]
     gained = (face[left] >= 0).to(m) - (face[left + 1] >= 0).to(m)
+    u, v = squares.u[square], squares.v[square]
     for share in SHARES:
-        rays = squares.rays(square, *(start + share * delta).unbind(-1))
-        jump = planes[0].ranges(own[0], rays) - planes[1].ranges(own[1], rays)
+        x, y = (start + share * delta).unbind(-1)
+        true_rays, rays = projection.rays(u + x, v + y), squares.rays(square, x, y)
+        jump = planes[0].ranges(own[0], true_rays) - planes[1].ranges(own[1], true_rays)
         total = total + (0.5 * rate * jump)[:, None] * rays
         area = area + (0.5 * rate * gained)[:, None] * rays
     rim, index = torch.unique(piece, return_inverse=True)

@@ -16,14 +16,16 @@ from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
-from torchcal.render.cells import cells_of
+from torchcal.render.cells import Cells, cells_of, joined
 from torchcal.render.facets import Facets, RayTurns, Spread
 from torchcal.render.layer import BorderPlanes, Layer, hard_layer, with_regions
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
-from torchcal.render.pieces import find_pieces
+from torchcal.render.pieces import Pieces, find_pieces, with_seams
 from torchcal.render.regions import range_of_regions, regions_of, rims_of
+from torchcal.render.seams import seams_missed, seams_of
 from torchcal.render.silhouette import borders_of, strokes_of
+from torchcal.render.squares import Squares
 from torchcal.render.soup import in_soup, soup_of_views
 from torchcal.render.visibility import faces_at_points, visible_faces
 
@@ -159,15 +161,9 @@ def _shared(
     still = exact.detach()
     borders = borders_of(vertices.detach(), soup, facets, projection)
     strokes = strokes_of(still, borders, soup, projection)
-    squares, pieces = find_pieces(still, soup, borders, strokes, soup_face, projection)
-    cells = cells_of(pieces, len(squares.view))
-    rays = squares.rays(cells.square, *cells.centroids())
-    faces = soup.faces[: len(soup.faces) // views]
-    seen = faces_at_points(
-        still.view(views, -1, 3), faces, projection, squares, cells.square, rays
-    )
-    view = squares.view[cells.square]
-    seen = torch.where(seen < 0, seen, seen + view * len(faces))
+    seams = seams_of(soup_face, still, soup, projection)
+    squares, pieces = find_pieces(still, soup, borders, strokes, seams, soup_face, projection)
+    cells, seen, pieces = _seen_cells(squares, pieces, still, soup, projection, views)
     regions = regions_of(cells, seen)
     hits = range_of_regions(regions, squares, exact, soup, projection)
     hits = hits.between(sensor.near, sensor.far)
@@ -177,8 +173,38 @@ def _shared(
         along=last - first,
         body=soup.vertex_body[soup.edges[borders.edge, 0]],
     )
-    rims = rims_of(cells, seen, pieces, squares, still, soup, planes.normal.detach())
+    rims = rims_of(cells, seen, pieces, squares, still, soup, planes.normal.detach(), projection)
     return with_regions(layer, squares, regions, hits, rims, planes, motion)
+
+
+def _seen_cells(
+    squares: Squares,
+    pieces: Pieces,
+    vertices: Tensor,
+    soup: Surface,
+    projection: Projection,
+    views: int,
+) -> tuple[Cells, Tensor, Pieces]:
+    """The cells of all squares, the faces seen in them, and the pieces between them."""
+    faces = soup.faces[: len(soup.faces) // views]
+
+    def seen_in(cells: Cells) -> Tensor:
+        rays = squares.rays(cells.square, *cells.centroids())
+        own = vertices.view(views, -1, 3)
+        seen = faces_at_points(own, faces, projection, squares, cells.square, rays)
+        return torch.where(seen < 0, seen, seen + squares.view[cells.square] * len(faces))
+
+    cells = cells_of(pieces, len(squares.view))
+    seen = seen_in(cells)
+    square, ends = seams_missed(cells, seen, vertices, soup)
+    if not len(square):
+        return cells, seen, pieces
+    more = with_seams(pieces, squares, square, ends, int(pieces.border.max()) + 1 + len(soup.edges))
+    again = cells_of(more, len(squares.view))
+    keep = ~torch.isin(cells.square, again.square)
+    again_seen = seen_in(again)
+    cells, order = joined(cells.select(keep), again, len(pieces.square))
+    return cells, torch.cat([seen[keep], again_seen])[order], pieces.and_then(more)
 
 
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:
