@@ -1,4 +1,4 @@
-"""Pieces: the parts of borders in the squares of single pixels."""
+"""Pieces: the parts of lines in the squares of single pixels."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -9,10 +9,10 @@ from torch import Tensor
 from torchcal.geometry.projection import Projection
 from torchcal.model.scene import Surface
 from torchcal.render.facets import Facets, dot
-from torchcal.render.silhouette import Borders, Strokes
+from torchcal.render.silhouette import Strokes, strokes_of
 from torchcal.render.squares import Squares, spread, square_numbers
 
-MANY = 16
+MANY = 32
 """Squares with more pieces than this do without those of creases."""
 BEHIND = 1e-3
 """Relative: a piece is behind a face where its range is greater by more than this. Where a body
@@ -20,14 +20,14 @@ stands on another one its edges count, even if it has sunk in a little."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Seams:
-    """Lines along which faces that share no edge pass through one another, and the pixels that they may cross."""
+class Lines:
+    """Straight lines in space at which the range may jump or bend: borders, then seams."""
 
-    ends: Float[Tensor, "seam 2 3"]
-    """Two points (m) of each line."""
-    number: Int[Tensor, " entry"]
-    """Numbers of pixels, see ``squares.py``."""
-    seam: Int[Tensor, " entry"]
+    ends: Float[Tensor, "line 2 3"]
+    """m, in double precision."""
+    view: Int[Tensor, " line"]
+    jumps: Bool[Tensor, " line"]
+    """Silhouettes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,8 +35,7 @@ class Pieces:
     """Straight lines in squares, in the order of the squares."""
 
     square: Int[Tensor, " piece"]
-    border: Int[Tensor, " piece"]
-    """Seams are counted after all borders."""
+    line: Int[Tensor, " piece"]
     jumps: Bool[Tensor, " piece"]
     """Of silhouettes."""
     low: Float[Tensor, "piece 2"]
@@ -49,7 +48,7 @@ class Pieces:
         """The pieces to keep."""
         return Pieces(
             square=self.square[keep],
-            border=self.border[keep],
+            line=self.line[keep],
             jumps=self.jumps[keep],
             low=self.low[keep],
             high=self.high[keep],
@@ -67,34 +66,26 @@ class Pieces:
 
 
 def find_pieces(
+    lines: Lines,
+    face: Int[Tensor, "view h w"],
     vertices: Float[Tensor, "vertex 3"],
     surface: Surface,
-    borders: Borders,
-    strokes: Strokes,
-    seams: Seams,
-    face: Int[Tensor, "view h w"],
     projection: Projection,
 ) -> tuple[Squares, Pieces]:
-    """The pieces of all borders but for those behind a face that fills their square.
+    """The pieces of all lines but for those behind a face that fills their square.
 
     Args:
+        lines: Borders and seams.
+        face: The face at the centre of every pixel.
         vertices: Points in the sensor's frame of their view (m), in double precision.
         surface: The triangles of all views, see ``soup.py``.
-        borders: Edges of the surface.
-        strokes: Where they are in the images.
-        seams: Lines that are no edges.
-        face: The face at the centre of every pixel.
         projection: The sensor's optics.
     """
-    view = surface.edges[borders.edge, 0] // max(len(vertices) // max(len(face), 1), 1)
-    number, border = _crossed_squares(strokes, view, projection)
-    key = torch.cat([number, seams.number]), torch.cat([border, seams.seam + len(view)])
-    number, border = _in_order(*key)
-    ends = torch.cat([vertices[surface.edges[borders.edge]], seams.ends])
-    jumps = torch.cat([borders.jumps, borders.jumps.new_zeros(len(seams.ends))])
+    strokes = strokes_of(lines.ends, projection)
+    number, line = _crossed_squares(strokes, lines.view, projection)
     number, square = torch.unique_consecutive(number, return_inverse=True)
     squares = Squares.of(number, projection)
-    pieces = _clipped(ends, jumps, squares, square, border)
+    pieces = _clipped(lines.ends, lines.jumps, squares, square, line)
     central = face[squares.view, squares.v, squares.u]
     pieces = pieces.select(~_hidden(pieces, squares, central, vertices, surface))
     count = pieces.square.bincount(minlength=len(number))
@@ -102,7 +93,7 @@ def find_pieces(
     kept, square = torch.unique_consecutive(pieces.square, return_inverse=True)
     return squares.select(kept), Pieces(
         square=square,
-        border=pieces.border,
+        line=pieces.line,
         jumps=pieces.jumps,
         low=pieces.low,
         high=pieces.high,
@@ -128,7 +119,7 @@ def with_seams(
     """
     order = torch.arange(len(square), device=square.device)
     found = _clipped(ends, order < 0, squares, square, order)
-    found = replace(found, border=found.border + seam)
+    found = replace(found, line=found.line + seam)
     own = pieces.select(torch.isin(pieces.square, found.square))
     joined = own.and_then(found)
     return joined.select(torch.sort(joined.square, stable=True).indices)
@@ -137,7 +128,7 @@ def with_seams(
 def _crossed_squares(
     strokes: Strokes, view: Tensor, projection: Projection
 ) -> tuple[Tensor, Tensor]:
-    """Pairs of a pixel, by its number, and a border whose stroke may cross it."""
+    """Pairs of a pixel, by its number, and a line whose stroke may cross it, each once, in order."""
     margin = strokes.margin
     delta = strokes.end - strokes.start
     low, high = (pick(strokes.start, strokes.end) for pick in (torch.minimum, torch.maximum))
@@ -148,8 +139,8 @@ def _crossed_squares(
     slope = (delta[:, 0] / delta[:, 1]).nan_to_num(0.0, 0.0, 0.0)[stroke]
     reach = (0.5 + margin)[stroke]
     ends = []
-    for border in (row - reach, row + reach):
-        y = torch.minimum(torch.maximum(border, low[stroke, 1]), high[stroke, 1])
+    for side in (row - reach, row + reach):
+        y = torch.minimum(torch.maximum(side, low[stroke, 1]), high[stroke, 1])
         x = strokes.start[stroke, 0] + slope * (y - strokes.start[stroke, 1])
         ends.append(torch.minimum(torch.maximum(x, low[stroke, 0]), high[stroke, 0]))
     level = (delta[:, 1] == 0)[stroke]
@@ -157,16 +148,10 @@ def _crossed_squares(
     right = torch.where(level, high[stroke, 0], torch.maximum(*ends)) + margin[stroke]
     first, count = _pixels_between(left, right, projection.width)
     item, order = spread(count)
-    border = strokes.border[stroke[item]]
-    number = square_numbers(view[border], first[item] + order, row[item], projection)
-    return number, border
-
-
-def _in_order(number: Tensor, border: Tensor) -> tuple[Tensor, Tensor]:
-    """Pairs of a pixel and a border, each once, in order."""
-    count = border.max() + 1 if len(border) else 1
-    key = torch.unique(number * count + border)
-    return key // count, key % count
+    line = strokes.line[stroke[item]]
+    number = square_numbers(view[line], first[item] + order, row[item], projection)
+    key = torch.unique(number * (len(view) + 1) + line)
+    return key // (len(view) + 1), key % (len(view) + 1)
 
 
 def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -177,7 +162,7 @@ def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tenso
 
 
 def _clipped(
-    ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, border: Tensor
+    ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, line: Tensor
 ) -> Pieces:
     """Cuts every edge to the pyramid of its square's rays."""
     axes = torch.stack(
@@ -188,7 +173,7 @@ def _clipped(
         ]
     )
     axes = axes / dot(squares.along_u, axes[0])[:, None]
-    local = [[dot(axis[square], ends[border, k]) for axis in axes] for k in (0, 1)]
+    local = [[dot(axis[square], ends[line, k]) for axis in axes] for k in (0, 1)]
     begin, end = torch.zeros_like(local[0][0]), torch.ones_like(local[0][0])
     for axis in (0, 1):
         for sign in (1.0, -1.0):
@@ -208,8 +193,8 @@ def _clipped(
     low, high = torch.where(upwards, *points), torch.where(upwards, points[1], points[0])
     return Pieces(
         square=square[keep],
-        border=border[keep],
-        jumps=jumps[border[keep]],
+        line=line[keep],
+        jumps=jumps[line[keep]],
         low=low[:, :2].clamp(-0.5, 0.5),
         high=high[:, :2].clamp(-0.5, 0.5),
         range=torch.stack([low[:, 2], high[:, 2]], -1),

@@ -108,12 +108,12 @@ def rims_of(
     """
     left = torch.nonzero((cells.piece >= 0) & (face != face.roll(-1)))[:, 0]
     # Seams move with two bodies, but the range does not jump there.
-    left = left[pieces.border[cells.piece[left]] < len(normal)]
+    left = left[pieces.line[cells.piece[left]] < len(normal)]
     piece, square = cells.piece[left], cells.square[left]
     low, high = cells.right[left], cells.y[left]
     start, end = (torch.stack([low[:, k], high[:, k]], -1) for k in (0, 1))
     delta = end - start
-    m = normal[pieces.border[piece]]
+    m = normal[pieces.line[piece]]
     to_u, to_v = dot(m, squares.along_u[square]), dot(m, squares.along_v[square])
     # How far the left cell's area reaches beyond the line when m . ray rises by 1.
     rate = -delta.square().sum(-1) / (to_u * delta[:, 1] - to_v * delta[:, 0])
@@ -134,7 +134,7 @@ def rims_of(
     levers = levers.new_zeros(len(rim), 6).index_add(0, index, levers)
     return Rims(
         square=pieces.square[rim],
-        border=pieces.border[rim],
+        border=pieces.line[rim],
         total_lever=levers[:, :3],
         area_lever=levers[:, 3:],
     )

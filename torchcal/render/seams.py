@@ -8,13 +8,12 @@ from torchcal.geometry.projection import Projection
 from torchcal.model.scene import Surface
 from torchcal.render.cells import Cells
 from torchcal.render.facets import Facets, dot
-from torchcal.render.pieces import Seams
-from torchcal.render.squares import spread, square_numbers
+from torchcal.render.squares import spread
 
 CLOSE = 1e-6
 """Pixels. A shorter line between two faces is none."""
 LENGTH = 1e3
-"""m. A seam counts as straight as far as this: beyond its faces it has no effect."""
+"""m. Lines that meet in a pixel are followed as far as this: beyond their faces they do nothing."""
 
 
 def seams_of(
@@ -22,8 +21,8 @@ def seams_of(
     vertices: Float[Tensor, "vertex 3"],
     surface: Surface,
     projection: Projection,
-) -> Seams:
-    """The seams that pass between the centres of neighbouring pixels.
+) -> tuple[Float[Tensor, "seam 2 3"], Int[Tensor, " seam"]]:
+    """The seams that somewhere pass between the centres of neighbouring pixels, and their views.
 
     Args:
         face: The face at the centre of every pixel.
@@ -32,13 +31,26 @@ def seams_of(
         projection: The sensor's optics.
     """
     found = [_between(face, along_u, vertices, surface, projection) for along_u in (True, False)]
-    pair, number = (torch.cat(part) for part in zip(*found, strict=True))
-    pairs, seam = torch.unique(pair, dim=0, return_inverse=True)
-    return Seams(
-        ends=_ends(pairs, vertices, surface),
-        number=number.flatten(),
-        seam=seam[:, None].expand_as(number).flatten(),
-    )
+    pairs = torch.unique(torch.cat(found), dim=0)
+    ends = _ends(pairs, vertices, surface)
+    return _within(ends, pairs, vertices, surface), pairs[:, 0] // (len(surface.faces) // len(face))
+
+
+def _within(ends: Tensor, pairs: Tensor, vertices: Tensor, surface: Surface) -> Tensor:
+    """The parts of lines that lie in both triangles."""
+    start, delta = ends[:, 0], ends[:, 1] - ends[:, 0]
+    low, high = torch.zeros_like(start[:, 0]), torch.ones_like(start[:, 0])
+    for face in pairs.unbind(1):
+        normal = Facets.of(vertices, surface.faces[face]).normal[:-1]
+        points = vertices[surface.faces[face]].unbind(1)
+        for k in range(3):
+            inwards = torch.linalg.cross(normal, points[(k + 1) % 3] - points[k])
+            rise, at_start = dot(inwards, delta), dot(inwards, start - points[k])
+            share = -at_start / rise
+            low = torch.where(rise > 0, torch.maximum(low, share), low)
+            high = torch.where(rise < 0, torch.minimum(high, share), high)
+    high = torch.maximum(low, high)
+    return torch.stack([start + low[:, None] * delta, start + high[:, None] * delta], 1)
 
 
 def seams_missed(
@@ -79,8 +91,8 @@ def _strangers(pair: Tensor, surface: Surface) -> Tensor:
 
 def _between(
     face: Tensor, along_u: bool, vertices: Tensor, surface: Surface, projection: Projection
-) -> tuple[Tensor, Tensor]:
-    """Pairs of faces that meet between two centres; the six pixels about the place."""
+) -> Tensor:
+    """Pairs of faces that meet between two neighbouring centres."""
     du, dv = (1, 0) if along_u else (0, 1)
     height, width = face.shape[1:]
     one, other = face[:, : height - dv, : width - du], face[:, dv:, du:]
@@ -90,15 +102,7 @@ def _between(
     view, v, u, pair = view[strangers], v[strangers], u[strangers], pair[strangers]
     rays = [projection.rays((u + k * du).double(), (v + k * dv).double()) for k in (0, 1)]
     meet = torch.nonzero(_meet(pair, rays, vertices, surface))[:, 0]
-    view, v, u, pair = view[meet], v[meet], u[meet], pair[meet].sort(-1).values
-    around = torch.tensor([(a, b) for a in (-1, 0, 1) for b in (0, 1)], device=face.device)
-    across, onward = around.unbind(1)
-    columns = u[:, None] + du * onward + dv * across
-    rows = v[:, None] + dv * onward + du * across
-    number = square_numbers(
-        view[:, None], columns.clamp(0, width - 1), rows.clamp(0, height - 1), projection
-    )
-    return pair, number
+    return pair[meet].sort(-1).values
 
 
 def _meet(pair: Tensor, rays: list[Tensor], vertices: Tensor, surface: Surface) -> Tensor:

@@ -38,14 +38,14 @@ class Borders:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Strokes:
-    """What borders leave in the image: straight lines, but for a margin."""
+    """What lines in space leave in the image: straight lines, but for a margin."""
 
-    border: Int[Tensor, " stroke"]
+    line: Int[Tensor, " stroke"]
     start: Float[Tensor, "stroke 2"]
     """Pixel coordinates (u, v)."""
     end: Float[Tensor, "stroke 2"]
     margin: Float[Tensor, " stroke"]
-    """Pixels by which the border may leave the straight line."""
+    """Pixels by which it may leave the straight line."""
 
 
 def borders_of(
@@ -63,19 +63,17 @@ def borders_of(
     return Borders(edge=edge, jumps=jumps[edge])
 
 
-def strokes_of(
-    vertices: Float[Tensor, "vertex 3"], borders: Borders, surface: Surface, projection: Projection
-) -> Strokes:
-    """The strokes of borders that may cross the image."""
-    first, last = vertices[surface.edges[borders.edge]].unbind(1)
+def strokes_of(lines: Float[Tensor, "line 2 3"], projection: Projection) -> Strokes:
+    """The strokes of lines between two points (m) that may cross the image."""
+    first, last = lines.unbind(1)
     cut = _split if isinstance(projection, Spherical) else _clip
-    first, last, border = cut(first, last, projection)
+    first, last, line = cut(first, last, projection)
     start, end = projection.pixels(first), projection.pixels(last)
     margin = 2.0 * (projection.pixels(first + last) - 0.5 * (start + end)).norm(dim=-1) + 1e-6
     if not isinstance(projection, Spherical):
         margin = torch.full_like(margin, 1e-6)
     keep = torch.nonzero(_reaches_image(start, end, margin, projection))[:, 0]
-    return Strokes(border=border[keep], start=start[keep], end=end[keep], margin=margin[keep])
+    return Strokes(line=line[keep], start=start[keep], end=end[keep], margin=margin[keep])
 
 
 def _side(k: int, plane: Tensor, vertices: Tensor, surface: Surface) -> Tensor:

@@ -21,10 +21,10 @@ from torchcal.render.facets import Facets, RayTurns, Spread
 from torchcal.render.layer import BorderPlanes, Layer, hard_layer, with_regions
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
-from torchcal.render.pieces import Pieces, find_pieces, with_seams
+from torchcal.render.pieces import Lines, Pieces, find_pieces, with_seams
 from torchcal.render.regions import range_of_regions, regions_of, rims_of
 from torchcal.render.seams import seams_missed, seams_of
-from torchcal.render.silhouette import borders_of, strokes_of
+from torchcal.render.silhouette import borders_of
 from torchcal.render.squares import Squares
 from torchcal.render.soup import in_soup, soup_of_views
 from torchcal.render.visibility import faces_at_points, visible_faces
@@ -160,18 +160,23 @@ def _shared(
     exact = vertices.double()
     still = exact.detach()
     borders = borders_of(vertices.detach(), soup, facets, projection)
-    strokes = strokes_of(still, borders, soup, projection)
-    seams = seams_of(soup_face, still, soup, projection)
-    squares, pieces = find_pieces(still, soup, borders, strokes, seams, soup_face, projection)
+    edges = soup.edges[borders.edge]
+    seams, of_seams = seams_of(soup_face, still, soup, projection)
+    lines = Lines(
+        ends=torch.cat([still[edges], seams]),
+        view=torch.cat([edges[:, 0] // (len(still) // views), of_seams]),
+        jumps=torch.cat([borders.jumps, borders.jumps.new_zeros(len(seams))]),
+    )
+    squares, pieces = find_pieces(lines, soup_face, still, soup, projection)
     cells, seen, pieces = _seen_cells(squares, pieces, still, soup, projection, views)
     regions = regions_of(cells, seen)
     hits = range_of_regions(regions, squares, exact, soup, projection)
     hits = hits.between(sensor.near, sensor.far)
-    first, last = exact[soup.edges[borders.edge]].unbind(1)
+    first, last = exact[edges].unbind(1)
     planes = BorderPlanes(
         normal=torch.linalg.cross(first, last - first),
         along=last - first,
-        body=soup.vertex_body[soup.edges[borders.edge, 0]],
+        body=soup.vertex_body[edges[:, 0]],
     )
     rims = rims_of(cells, seen, pieces, squares, still, soup, planes.normal.detach(), projection)
     return with_regions(layer, squares, regions, hits, rims, planes, motion)
@@ -199,7 +204,7 @@ def _seen_cells(
     square, ends = seams_missed(cells, seen, vertices, soup)
     if not len(square):
         return cells, seen, pieces
-    more = with_seams(pieces, squares, square, ends, int(pieces.border.max()) + 1 + len(soup.edges))
+    more = with_seams(pieces, squares, square, ends, int(pieces.line.max()) + 1 + len(soup.edges))
     again = cells_of(more, len(squares.view))
     keep = ~torch.isin(cells.square, again.square)
     again_seen = seen_in(again)
