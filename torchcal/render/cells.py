@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchcal.render.machine_code import machine_code_for
 from torchcal.render.pieces import Pieces
 
 THIN = 1e-11
@@ -68,7 +69,16 @@ def joined(cells: Cells, others: Cells, pieces: int) -> tuple[Cells, Int[Tensor,
 
 
 def cells_of(pieces: Pieces, squares: int) -> Cells:
-    """Cuts all squares that have a piece at least."""
+    """Cuts all squares that have a piece at least.
+
+    On the CPU it is done in machine code where numba is installed, else by tensors: same answer.
+    """
+    module = machine_code_for(pieces.low, "splitting")
+    return plain_cells_of(pieces, squares) if module is None else module.cells_of(pieces, squares)
+
+
+def plain_cells_of(pieces: Pieces, squares: int) -> Cells:
+    """The same by tensor operations, on any device."""
     count = pieces.square.bincount(minlength=squares)
     start = count.cumsum(0) - count
     width = 2 ** (count - 1).clamp(min=0).double().log2().floor().long().add(1)

@@ -47,9 +47,9 @@ class Rims:
 
 def regions_of(cells: Cells, face: Int[Tensor, " cell"]) -> Regions:
     """Joins neighbouring cells that show the same face."""
-    key = torch.stack([cells.square, face], -1)
-    _, region = torch.unique_consecutive(key, dim=0, return_inverse=True)
-    first = torch.nonzero(torch.cat([region[:1] == 0, region[1:] != region[:-1]]))[:, 0]
+    begins = torch.ones_like(face, dtype=torch.bool)
+    begins[1:] = (cells.square[1:] != cells.square[:-1]) | (face[1:] != face[:-1])
+    first, region = torch.nonzero(begins)[:, 0], begins.cumsum(0) - 1
     moments = torch.stack(_moments(cells), -1)
     moments = moments.new_zeros(len(first), 6).index_add(0, region, moments)
     area, x, y, xx, xy, yy = moments.unbind(-1)
