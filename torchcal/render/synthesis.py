@@ -133,7 +133,7 @@ def _synthesise_views(
     if sensor.beam > 0:
         hits = hits.averaged(*_whole_pixels(u, v, projection))
     layer = hard_layer(soup_face, hits, moving)
-    if sensor.beam > 0:
+    if sensor.beam > 0 and len(face):
         layer = _shared(layer, vertices, soup, facets, soup_face, sensor, moving)
     synthesis = _average(layer, face, max(sensor.beam, 1))
     return synthesis if motion is not None else replace(synthesis, jacobian=None)
