@@ -8,7 +8,8 @@ from torch import Tensor
 
 from torchcal.geometry.projection import Projection
 from torchcal.model.scene import Surface
-from torchcal.render.facets import Facets, dot
+from torchcal.render.facets import dot
+from torchcal.render.machine_code import machine_code_for
 from torchcal.render.silhouette import Strokes, strokes_of
 from torchcal.render.squares import Squares, spread, square_numbers
 
@@ -85,9 +86,9 @@ def find_pieces(
     number, line = _crossed_squares(strokes, lines.view, projection)
     number, square = torch.unique_consecutive(number, return_inverse=True)
     squares = Squares.of(number, projection)
-    pieces = _clipped(lines.ends, lines.jumps, squares, square, line)
     central = face[squares.view, squares.v, squares.u]
-    pieces = pieces.select(~_hidden(pieces, squares, central, vertices, surface))
+    corners = vertices[surface.faces[central.clamp(min=0)]] * (central >= 0)[:, None, None]
+    pieces = _seen(lines.ends, lines.jumps, squares, square, line, corners)
     count = pieces.square.bincount(minlength=len(number))
     pieces = pieces.select(pieces.jumps | (count[pieces.square] <= MANY))
     kept, square = torch.unique_consecutive(pieces.square, return_inverse=True)
@@ -161,6 +162,30 @@ def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tenso
     return first, (last - first + 1).clamp(min=0)
 
 
+def _seen(
+    ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, line: Tensor, corners: Tensor
+) -> Pieces:
+    """Pieces that are not behind the faces, with these corners, that fill their squares.
+
+    On the CPU it is done in machine code where numba is installed, else by tensors.
+    """
+    module = machine_code_for(ends, "clipping")
+    if module is None:
+        pieces = _clipped(ends, jumps, squares, square, line)
+        return pieces.select(~_hidden(pieces, squares, corners))
+    points, seen = module.clipped_and_seen(ends, squares, square, line, corners, BEHIND)
+    keep = torch.nonzero(seen)[:, 0]
+    points, line = points[keep], line[keep]
+    return Pieces(
+        square=square[keep],
+        line=line,
+        jumps=jumps[line],
+        low=points[:, 0, :2],
+        high=points[:, 1, :2],
+        range=points[:, :, 2],
+    )
+
+
 def _clipped(
     ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, line: Tensor
 ) -> Pieces:
@@ -201,14 +226,11 @@ def _clipped(
     )
 
 
-def _hidden(
-    pieces: Pieces, squares: Squares, face: Tensor, vertices: Tensor, surface: Surface
-) -> Tensor:
-    """Pieces behind the face at their square's centre, where that face fills the square."""
-    corners = surface.faces[face.clamp(min=0)]
-    facets = Facets.of(vertices, corners)
-    offset = facets.offset[:-1].masked_fill(face < 0, 0.0)
-    points = vertices[corners].unbind(1)
+def _hidden(pieces: Pieces, squares: Squares, corners: Tensor) -> Tensor:
+    """Pieces behind the face with these corners, where that face fills their square."""
+    points = corners.unbind(1)
+    normal = torch.linalg.cross(points[1] - points[0], points[2] - points[0])
+    offset = dot(normal, points[0])
     fills = offset != 0
     for k in range(3):
         side = torch.linalg.cross(points[k], points[(k + 1) % 3] - points[k])
@@ -218,6 +240,6 @@ def _hidden(
     own = pieces.square
     behind = fills[own]
     for end, distance in zip((pieces.low, pieces.high), pieces.range.unbind(1), strict=True):
-        along = dot(facets.normal[own], squares.rays(own, *end.unbind(1)))
+        along = dot(normal[own], squares.rays(own, *end.unbind(1)))
         behind &= offset[own] / along < (1.0 - BEHIND) * distance
     return behind
