@@ -4,10 +4,10 @@ Lines of equal y through the ends and the meetings of all pieces cut a square in
 that pass through a slab cut it into cells. Whatever is seen, the cells fill the square.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.render.machine_code import machine_code_for
@@ -49,6 +49,10 @@ class Cells:
             right=self.right[keep],
             piece=self.piece[keep],
         )
+
+    def renumbered(self, kept: Bool[Tensor, " square"]) -> "Cells":
+        """The same after only these squares were kept."""
+        return replace(self, square=(kept.cumsum(0) - 1)[self.square])
 
 
 def joined(cells: Cells, others: Cells, pieces: int) -> tuple[Cells, Int[Tensor, " cell"]]:

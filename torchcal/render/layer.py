@@ -77,14 +77,16 @@ def with_regions(
         planes: Of the borders.
         motion: How bodies move with the parameters.
     """
-    met = (hits.scale != 0).to(hits.range) * regions.area
+    filled = regions.area.to(hits.range)
+    met = (hits.scale != 0).to(hits.range) * filled
 
     def summed(of_regions: Tensor, of_rims: Tensor) -> Tensor:
         zeros = of_regions.new_zeros(len(squares.view), *of_regions.shape[1:])
+        of_rims = of_rims.to(zeros)
         return zeros.index_add(0, regions.square, of_regions).index_add(0, rims.square, of_rims)
 
     place = (squares.view, squares.v, squares.u)
-    total = summed(hits.range * regions.area, planes.values(rims, rims.total_lever))
+    total = summed(hits.range * filled, planes.values(rims, rims.total_lever))
     area = summed(met, planes.values(rims, rims.area_lever))
     total = layer.total.index_put(place, total.to(layer.total))
     area = layer.area.index_put(place, area.to(layer.area))
@@ -93,10 +95,10 @@ def with_regions(
     view = squares.view[rims.square]
 
     def of_rims(lever: Tensor) -> Tensor:
-        twists = planes.twist_derivatives(rims, lever)
+        twists = planes.twist_derivatives(rims, lever).to(hits.range)
         return motion.of_bodies(twists, planes.body[rims.border], view)
 
-    twists = hits.twist_derivatives().mT * regions.area[:, None]
+    twists = hits.twist_derivatives().mT * filled[:, None]
     inner = motion.of_faces(twists, regions.face, squares.view[regions.square])
     change = _put(layer.total_derivative, place, summed(inner, of_rims(rims.total_lever)))
     if not rims.area_lever.any():

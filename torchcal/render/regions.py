@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection
@@ -45,6 +45,16 @@ class Rims:
     area_lever: Float[Tensor, "rim 3"]
 
 
+def shows_several(
+    cells: Cells, face: Int[Tensor, " cell"], squares: int
+) -> Bool[Tensor, " square"]:
+    """The squares in which more than one face is seen."""
+    other = (face[1:] != face[:-1]) & (cells.square[1:] == cells.square[:-1])
+    several = torch.zeros(squares, dtype=torch.bool, device=face.device)
+    several[cells.square[1:][other]] = True
+    return several
+
+
 def regions_of(cells: Cells, face: Int[Tensor, " cell"]) -> Regions:
     """Joins neighbouring cells that show the same face."""
     begins = torch.ones_like(face, dtype=torch.bool)
@@ -75,13 +85,16 @@ def range_of_regions(
     projection: Projection,
 ) -> Hits:
     """The mean ranges of regions, and their derivatives."""
-    u = squares.u[regions.square] + regions.centroid[:, 0]
-    v = squares.v[regions.square] + regions.centroid[:, 1]
+    u = (squares.u[regions.square] + regions.centroid[:, 0]).to(vertices)
+    v = (squares.v[regions.square] + regions.centroid[:, 1]).to(vertices)
+    spread = Spread(
+        uu=regions.spread.uu.to(u), uv=regions.spread.uv.to(u), vv=regions.spread.vv.to(u)
+    )
     facets = Facets.of(vertices, surface.faces[regions.face.clamp(min=0)])
     index = torch.arange(len(u), device=u.device).where(regions.face >= 0, -1)
     to_u, to_v = projection.ray_derivatives(u, v)
     turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
-    return facets.at(index, projection.rays(u, v)).averaged(regions.spread, turns)
+    return facets.at(index, projection.rays(u, v)).averaged(spread, turns)
 
 
 def rims_of(
@@ -132,8 +145,10 @@ def rims_of(
     rim, index = torch.unique(piece, return_inverse=True)
     levers = torch.cat([total, area], -1)
     levers = levers.new_zeros(len(rim), 6).index_add(0, index, levers)
+    # Of the cells at a piece any one knows its square.
+    squares_of_rims = torch.empty_like(rim).index_put((index,), square)
     return Rims(
-        square=pieces.square[rim],
+        square=squares_of_rims,
         border=pieces.line[rim],
         total_lever=levers[:, :3],
         area_lever=levers[:, 3:],

@@ -22,7 +22,7 @@ from torchcal.render.layer import BorderPlanes, Layer, hard_layer, with_regions
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
 from torchcal.render.pieces import Lines, Pieces, find_pieces, with_seams
-from torchcal.render.regions import range_of_regions, regions_of, rims_of
+from torchcal.render.regions import range_of_regions, regions_of, rims_of, shows_several
 from torchcal.render.seams import seams_missed, seams_of
 from torchcal.render.silhouette import borders_of
 from torchcal.render.squares import Squares
@@ -169,8 +169,11 @@ def _shared(
     )
     squares, pieces = find_pieces(lines, soup_face, still, soup, projection)
     cells, seen, pieces = _seen_cells(squares, pieces, still, soup, projection, views)
+    mixed = shows_several(cells, seen, len(squares.view))
+    squares, several = squares.select(mixed), mixed[cells.square]
+    cells, seen = cells.select(several).renumbered(mixed), seen[several]
     regions = regions_of(cells, seen)
-    hits = range_of_regions(regions, squares, exact, soup, projection)
+    hits = range_of_regions(regions, squares, vertices, soup, projection)
     hits = hits.between(sensor.near, sensor.far)
     first, last = exact[edges].unbind(1)
     planes = BorderPlanes(
