@@ -61,6 +61,20 @@ def test_every_row_of_a_steep_edge_has_the_exact_area(angle_deg: float, offset: 
     torch.testing.assert_close(rows[crosses], expected[crosses], atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("angle_deg", [7.0, 23.0, -38.0, 44.0, 155.0])
+def test_every_pixel_of_a_slanted_edge_has_the_exact_area(angle_deg: float):
+    """A beam of one pixel: the length of each line within the pixel, summed over 2000 lines."""
+    angle, offset = math.radians(angle_deg), 0.31
+    lines = (torch.arange(2000, dtype=torch.float64) + 0.5) / 2000 - 0.5
+    v = torch.arange(24, dtype=torch.float64)[:, None] - 11.5 + lines
+    edge = (offset - math.sin(angle) * v) / math.cos(angle) + 11.5
+    left = torch.arange(24, dtype=torch.float64)[:, None, None] - 0.5
+    inside = (edge - left).clamp(0, 1).mean(-1).mT
+    expected = inside if math.cos(angle) > 0 else 1.0 - inside
+    share = share_of_near(half_plane(angle, offset))
+    torch.testing.assert_close(share, expected, atol=2e-6, rtol=0)
+
+
 @pytest.mark.parametrize("offset", [-3.37, 0.0, 2.91])
 def test_every_column_of_a_flat_edge_has_the_exact_area(offset: float):
     columns = share_of_near(half_plane(math.radians(70.0), offset)).sum(0)

@@ -8,9 +8,11 @@ from torch import Tensor
 
 from torchcal.geometry.projection import Projection
 from torchcal.model.scene import Surface
+from torchcal.model.sensor import Sensor
 from torchcal.render.cells import Cells
 from torchcal.render.facets import Facets, Hits, RayTurns, Spread, dot
 from torchcal.render.pieces import Pieces
+from torchcal.render.silhouette import Borders
 from torchcal.render.squares import Squares
 
 SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
@@ -104,8 +106,8 @@ def rims_of(
     squares: Squares,
     vertices: Float[Tensor, "vertex 3"],
     surface: Surface,
-    normal: Float[Tensor, "border 3"],
-    projection: Projection,
+    borders: Borders,
+    sensor: Sensor,
 ) -> Rims:
     """The rims between cells of different faces.
 
@@ -116,17 +118,23 @@ def rims_of(
         squares: Where they are.
         vertices: Points (m) in the sensor's frame of their view.
         surface: The triangles of all views.
-        normal: m of the borders.
-        projection: The sensor's optics.
+        borders: The lines that they are parts of; all others are seams.
+        sensor: Its optics, and its limits beyond which there is no return.
     """
     left = torch.nonzero((cells.piece >= 0) & (face != face.roll(-1)))[:, 0]
     # Seams move with two bodies, but the range does not jump there.
-    left = left[pieces.line[cells.piece[left]] < len(normal)]
+    left = left[pieces.line[cells.piece[left]] < len(borders.edge)]
+    # Nor does it at an edge both of whose faces are seen.
+    own = surface.edge_faces[borders.edge[pieces.line[cells.piece[left]]]]
+    pair = torch.stack([face[left], face[left + 1]], -1)
+    left = left[(pair != own).any(-1) & (pair != own.flip(1)).any(-1)]
     piece, square = cells.piece[left], cells.square[left]
     low, high = cells.right[left], cells.y[left]
     start, end = (torch.stack([low[:, k], high[:, k]], -1) for k in (0, 1))
     delta = end - start
-    m = normal[pieces.line[piece]]
+    first, last = vertices[surface.edges[borders.edge[pieces.line[piece]]]].unbind(1)
+    m = torch.linalg.cross(first, last - first)
+    projection, limits = sensor.projection, (sensor.near, sensor.far)
     to_u, to_v = dot(m, squares.along_u[square]), dot(m, squares.along_v[square])
     # How far the left cell's area reaches beyond the line when m . ray rises by 1.
     rate = -delta.square().sum(-1) / (to_u * delta[:, 1] - to_v * delta[:, 0])
@@ -134,12 +142,13 @@ def rims_of(
     planes = [Facets.of(vertices, surface.faces[face[k].clamp(min=0)]) for k in (left, left + 1)]
     own = torch.arange(len(left), device=left.device)
     own = [own.where(face[k] >= 0, -1) for k in (left, left + 1)]
-    gained = (face[left] >= 0).to(m) - (face[left + 1] >= 0).to(m)
     u, v = squares.u[square], squares.v[square]
     for share in SHARES:
         x, y = (start + share * delta).unbind(-1)
         true_rays, rays = projection.rays(u + x, v + y), squares.rays(square, x, y)
-        jump = planes[0].ranges(own[0], true_rays) - planes[1].ranges(own[1], true_rays)
+        hits = [plane.at(k, true_rays).between(*limits) for plane, k in zip(planes, own, strict=True)]
+        jump = hits[0].range - hits[1].range
+        gained = (hits[0].scale != 0).to(m) - (hits[1].scale != 0).to(m)
         total = total + (0.5 * rate * jump)[:, None] * rays
         area = area + (0.5 * rate * gained)[:, None] * rays
     rim, index = torch.unique(piece, return_inverse=True)

@@ -181,7 +181,7 @@ def _shared(
         along=last - first,
         body=soup.vertex_body[edges[:, 0]],
     )
-    rims = rims_of(cells, seen, pieces, squares, still, soup, planes.normal.detach(), projection)
+    rims = rims_of(cells, seen, pieces, squares, still, soup, borders, sensor)
     return with_regions(layer, squares, regions, hits, rims, planes, motion)
 
 
