@@ -71,7 +71,6 @@ def test_means_over_pixels_are_those_of_many_rays(projection: Projection, rng: t
     torch.testing.assert_close(mean(twist).twist_derivatives().mT, jacobian)
 
 
-
 def test_twist_derivatives_follow_the_face(rng: torch.Generator):
     vertices, ray, face = corners(rng), rays(rng, 2), torch.tensor([0, 1])
 

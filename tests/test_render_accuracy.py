@@ -210,8 +210,8 @@ def test_the_derivative_in_the_full_hall_is_that_of_central_differences(
 def test_gradcheck_passes_with_silhouettes_in_view(projection: Projection, beam: int, mode: str):
     """In both directions of automatic differentiation, through two bodies' own poses.
 
-    The part of the picture with a corner of the box: means are right to the fourth order of the size
-    of pixels, so these must not be too coarse.
+    The part of the picture with a corner of the box: means are right to the fourth order of the
+    size of pixels, so these must not be too coarse.
     """
     small = projection.cropped(25, 18, 10, 9)
     bodies = (box((0.8, 0.7, 0.5), (0.1, 0.05, 2.4), (0.3, 0.4, 0.15)), wall(5.0))

@@ -13,6 +13,8 @@ from torch import Tensor
 from torchcal.render.machine_code import machine_code_for
 from torchcal.render.pieces import Pieces
 
+AT_ONCE = 1 << 21
+"""Places for cells, most of them empty, that tensors have at a time: it bounds the memory."""
 THIN = 1e-11
 """Lower slabs (pixels) are left out."""
 
@@ -38,7 +40,6 @@ class Cells:
         low, high = (0.5 * (self.left + self.right)).unbind(1)
         start, end = self.y.unbind(1)
         return low + share * (high - low), start + share * (end - start)
-
 
     def select(self, keep: Tensor) -> "Cells":
         """The cells to keep."""
@@ -90,9 +91,10 @@ def plain_cells_of(pieces: Pieces, squares: int) -> Cells:
     empty = pieces.low.new_zeros(0, 2)
     groups = [(count[:0], empty, empty, empty, count[:0])]
     groups += [
-        _cells_of_group(pieces, torch.nonzero(width == k)[:, 0], start, count, k)
+        _cells_of_group(pieces, part, start, count, k)
         for k in torch.unique(width).tolist()
         if k
+        for part in torch.nonzero(width == k)[:, 0].split(max(1, AT_ONCE // k**3))
     ]
     square, y, left, right, piece = (torch.cat(part) for part in zip(*groups, strict=True))
     order = torch.sort(square, stable=True).indices
@@ -138,7 +140,7 @@ def _cells_of_group(
 
 
 def _meetings(lines: tuple[Tensor, Tensor, Tensor, Tensor]) -> Tensor:
-    """y of the points where two pieces of a square cross; 1/2 where they do not."""
+    """Y of the points where two pieces of a square cross; 1/2 where they do not."""
     x, y, high_y, slope = lines
     i, j = torch.triu_indices(x.shape[1], x.shape[1], 1, device=x.device)
     low = torch.maximum(y[:, i], y[:, j])

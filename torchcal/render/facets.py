@@ -35,7 +35,8 @@ class Hits:
     normal: Float[Tensor, "*batch 3"]
     """Not normalised; 0 where there is no face."""
     scale: Float[Tensor, "*batch"]
-    """Derivative of the range to the face's motion along its normal: 1 / (normal . ray); 0 where nothing is met."""
+    """1 / (normal . ray): times ``normal``, the derivative of the range to the face's motion (m);
+    0 where nothing is met."""
     range: Float[Tensor, "*batch"]
     """m; 0 where nothing is met."""
 

@@ -36,7 +36,7 @@ class BorderPlanes:
     body: Int[Tensor, " border"]
 
     def values(self, rims: Rims, lever: Float[Tensor, "rim 3"]) -> Float[Tensor, " rim"]:
-        """normal . lever: 0, but its derivative is not."""
+        """Normal . lever: 0, but its derivative is not."""
         return dot(self.normal[rims.border], lever)
 
     def twist_derivatives(

@@ -129,7 +129,7 @@ def with_seams(
 def _crossed_squares(
     strokes: Strokes, view: Tensor, projection: Projection
 ) -> tuple[Tensor, Tensor]:
-    """Pairs of a pixel, by its number, and a line whose stroke may cross it, each once, in order."""
+    """Pairs of a pixel's number and a line whose stroke may cross it, each once, in order."""
     margin = strokes.margin
     delta = strokes.end - strokes.start
     low, high = (pick(strokes.start, strokes.end) for pick in (torch.minimum, torch.maximum))
@@ -186,9 +186,7 @@ def _seen(
     )
 
 
-def _clipped(
-    ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, line: Tensor
-) -> Pieces:
+def _clipped(ends: Tensor, jumps: Tensor, squares: Squares, square: Tensor, line: Tensor) -> Pieces:
     """Cuts every edge to the pyramid of its square's rays."""
     axes = torch.stack(
         [

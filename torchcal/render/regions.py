@@ -73,9 +73,7 @@ def regions_of(cells: Cells, face: Int[Tensor, " cell"]) -> Regions:
         face=face[first].where(filled, -1),
         area=area,
         centroid=torch.stack([x, y], -1),
-        spread=Spread(
-            uu=(xx - x * x)[:, None], uv=(xy - x * y)[:, None], vv=(yy - y * y)[:, None]
-        ),
+        spread=Spread(uu=(xx - x * x)[:, None], uv=(xy - x * y)[:, None], vv=(yy - y * y)[:, None]),
     )
 
 
@@ -146,7 +144,9 @@ def rims_of(
     for share in SHARES:
         x, y = (start + share * delta).unbind(-1)
         true_rays, rays = projection.rays(u + x, v + y), squares.rays(square, x, y)
-        hits = [plane.at(k, true_rays).between(*limits) for plane, k in zip(planes, own, strict=True)]
+        hits = [
+            plane.at(k, true_rays).between(*limits) for plane, k in zip(planes, own, strict=True)
+        ]
         jump = hits[0].range - hits[1].range
         gained = (hits[0].scale != 0).to(m) - (hits[1].scale != 0).to(m)
         total = total + (0.5 * rate * jump)[:, None] * rays

@@ -87,8 +87,7 @@ def _side(k: int, plane: Tensor, vertices: Tensor, surface: Surface) -> Tensor:
 def _inverse_bend(surface: Surface, facets: Facets) -> Tensor:
     """How much the gradient of 1 / range to the ray differs between both faces of each edge."""
     gradients = []
-    for face in surface.edge_faces.unbind(1):
-        face = face.clamp(min=0)
+    for face in surface.edge_faces.clamp(min=0).unbind(1):
         offset = facets.offset.index_select(0, face)[:, None]
         gradients.append(facets.normal.index_select(0, face) / offset)
     return (gradients[0] - gradients[1]).norm(dim=-1).nan_to_num(torch.inf)

@@ -1,9 +1,8 @@
 """Range synthesis: what the sensor would measure, and its derivative (eq. 2, 17 and 18).
 
-The hard z-buffer says which face a pixel's centre meets, silhouettes shift the share of a pixel
-from one surface to the other, and the beam averages over its box. Range and derivative are closed
-forms of the visible faces' planes and edges, so automatic differentiation through the poses works
-as well. What the range in a pixel's middle leaves out of its mean is z'' / 24.
+The hard z-buffer says which face a pixel's centre meets, pixels that silhouettes cross are shared
+by area (``sharing.py``), and the beam averages over its box. Range and derivative are closed forms
+of the visible faces' planes and edges, so automatic differentiation through the poses works, too.
 """
 
 from dataclasses import dataclass, replace
@@ -16,18 +15,13 @@ from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
-from torchcal.render.cells import Cells, cells_of, joined
 from torchcal.render.facets import Facets, RayTurns, Spread
-from torchcal.render.layer import BorderPlanes, Layer, hard_layer, with_regions
+from torchcal.render.layer import Layer, hard_layer
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
-from torchcal.render.pieces import Lines, Pieces, find_pieces, with_seams
-from torchcal.render.regions import range_of_regions, regions_of, rims_of, shows_several
-from torchcal.render.seams import seams_missed, seams_of
-from torchcal.render.silhouette import borders_of
-from torchcal.render.squares import Squares
+from torchcal.render.sharing import share_pixels
 from torchcal.render.soup import in_soup, soup_of_views
-from torchcal.render.visibility import faces_at_points, visible_faces
+from torchcal.render.visibility import visible_faces
 
 MET = 1e-3
 """Share of the beam that must meet the model before its mean is a prediction."""
@@ -134,7 +128,7 @@ def _synthesise_views(
         hits = hits.averaged(*_whole_pixels(u, v, projection))
     layer = hard_layer(soup_face, hits, moving)
     if sensor.beam > 0 and len(face):
-        layer = _shared(layer, vertices, soup, facets, soup_face, sensor, moving)
+        layer = share_pixels(layer, vertices, soup, facets, soup_face, sensor, moving)
     synthesis = _average(layer, face, max(sensor.beam, 1))
     return synthesis if motion is not None else replace(synthesis, jacobian=None)
 
@@ -144,75 +138,6 @@ def _whole_pixels(u: Tensor, v: Tensor, projection: Projection) -> tuple[Spread,
     to_u, to_v = projection.ray_derivatives(u, v)
     turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
     return Spread(uu=third, uv=torch.zeros_like(third), vv=third), turns
-
-
-def _shared(
-    layer: Layer,
-    vertices: Tensor,
-    soup: Surface,
-    facets: Facets,
-    soup_face: Tensor,
-    sensor: Sensor,
-    motion: BodyMotion | None,
-) -> Layer:
-    """Shares the pixels that borders cross among the faces that are seen in them."""
-    projection, views = sensor.projection, len(soup_face)
-    exact = vertices.double()
-    still = exact.detach()
-    borders = borders_of(vertices.detach(), soup, facets, projection)
-    edges = soup.edges[borders.edge]
-    seams, of_seams = seams_of(soup_face, still, soup, projection)
-    lines = Lines(
-        ends=torch.cat([still[edges], seams]),
-        view=torch.cat([edges[:, 0] // (len(still) // views), of_seams]),
-        jumps=torch.cat([borders.jumps, borders.jumps.new_zeros(len(seams))]),
-    )
-    squares, pieces = find_pieces(lines, soup_face, still, soup, projection)
-    cells, seen, pieces = _seen_cells(squares, pieces, still, soup, projection, views)
-    mixed = shows_several(cells, seen, len(squares.view))
-    squares, several = squares.select(mixed), mixed[cells.square]
-    cells, seen = cells.select(several).renumbered(mixed), seen[several]
-    regions = regions_of(cells, seen)
-    hits = range_of_regions(regions, squares, vertices, soup, projection)
-    hits = hits.between(sensor.near, sensor.far)
-    first, last = exact[edges].unbind(1)
-    planes = BorderPlanes(
-        normal=torch.linalg.cross(first, last - first),
-        along=last - first,
-        body=soup.vertex_body[edges[:, 0]],
-    )
-    rims = rims_of(cells, seen, pieces, squares, still, soup, borders, sensor)
-    return with_regions(layer, squares, regions, hits, rims, planes, motion)
-
-
-def _seen_cells(
-    squares: Squares,
-    pieces: Pieces,
-    vertices: Tensor,
-    soup: Surface,
-    projection: Projection,
-    views: int,
-) -> tuple[Cells, Tensor, Pieces]:
-    """The cells of all squares, the faces seen in them, and the pieces between them."""
-    faces = soup.faces[: len(soup.faces) // views]
-
-    def seen_in(cells: Cells) -> Tensor:
-        rays = squares.rays(cells.square, *cells.centroids())
-        own = vertices.view(views, -1, 3)
-        seen = faces_at_points(own, faces, projection, squares, cells.square, rays)
-        return torch.where(seen < 0, seen, seen + squares.view[cells.square] * len(faces))
-
-    cells = cells_of(pieces, len(squares.view))
-    seen = seen_in(cells)
-    square, ends = seams_missed(cells, seen, vertices, soup)
-    if not len(square):
-        return cells, seen, pieces
-    more = with_seams(pieces, squares, square, ends, int(pieces.line.max()) + 1 + len(soup.edges))
-    again = cells_of(more, len(squares.view))
-    keep = ~torch.isin(cells.square, again.square)
-    again_seen = seen_in(again)
-    cells, order = joined(cells.select(keep), again, len(pieces.square))
-    return cells, torch.cat([seen[keep], again_seen])[order], pieces.and_then(more)
 
 
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:

@@ -130,9 +130,7 @@ def _tiles_of_boxes(face: Tensor, box: Tensor, test: _FaceTest) -> Tensor:
     return torch.cat([face[item, None], low, high], -1)[keep]
 
 
-def _tiles_of_faces(
-    box: Tensor, projection: Projection
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+def _tiles_of_faces(box: Tensor, projection: Projection) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """All pairs of a face and a tile (item, column, row) that its box touches, part by part."""
     size = torch.tensor([projection.width, projection.height], device=box.device)
     tiles = (size + TILE - 1) // TILE
