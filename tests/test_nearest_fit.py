@@ -51,7 +51,7 @@ def test_a_fit_from_nearby_ends_near_the_truth(rng):
     for _ in range(2):
         fit = fit_of(job, state, rng)
         config = GaussNewtonConfig(iterations=20)
-        state = minimise(fit.evaluate, parameters.retract, state[None], config).state[0]
+        state = minimise(lambda states, _: fit.evaluate(states), parameters.retract, state[None], config).state[0]
     position, rotation = error_of(parameters.sensor_poses(state)[0], EYE)
     # The beam rounds off edges by centimetres and patches lie 4 to 7 cm apart.
     assert position < 0.03

@@ -38,7 +38,7 @@ def find_candidates(
             observation, surface, parameters, state, count=count, generator=generator
         )
         config = GaussNewtonConfig(iterations=15, ripple=0.01)
-        return minimise(fit.evaluate, parameters.retract, starts, config)
+        return minimise(lambda states, _: fit.evaluate(states), parameters.retract, starts, config)
 
     first = aligned(parameters.nominal, _starts(parameters, generator))
     starts = distinct(first.state, first.equations.cost, parameters)

@@ -1,0 +1,197 @@
+"""Procedure 3.5, steps (1) to (5): the robust fit of elements from given starting values."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchcal.geometry import robust, se3
+from torchcal.match.detection import Detect
+from torchcal.match.elements import Elements
+from torchcal.match.minimal_sets import Hypotheses
+from torchcal.match.pairs import Pairs
+from torchcal.match.residuals import PairResiduals, Whitening
+from torchcal.match.support import squared_errors
+from torchcal.solve.correspondences import RobustCorrespondences
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise
+
+COARSE = GaussNewtonConfig(iterations=5, damping=1e-6, tolerance=0.1)
+"""Steps that are followed by a better detection."""
+FINE = GaussNewtonConfig(iterations=10, damping=1e-6)
+"""Steps of the last fit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ElementProblem:
+    """What is to be matched: model and measured elements of every member of a batch."""
+
+    model: Elements
+    measured: Elements
+    whitening: Whitening
+    candidates: Bool[Tensor, "batch model measured"]
+    """The matrix C of eq. 6."""
+
+    @staticmethod
+    def of(
+        model: Elements, measured: Elements, candidates: Bool[Tensor, "batch model measured"]
+    ) -> "ElementProblem":
+        """With the noise's axes and roots worked out."""
+        return ElementProblem(
+            model=model,
+            measured=measured,
+            whitening=Whitening.of(measured),
+            candidates=candidates,
+        )
+
+    def rows(self, chosen: Int[Tensor, " member"]) -> "ElementProblem":
+        """Some members of the batch."""
+        return ElementProblem.of(
+            self.model[chosen], self.measured[chosen], self.candidates[chosen]
+        )
+
+    def with_every_pair(self) -> "ElementProblem":
+        """The same with C ignored."""
+        return ElementProblem(
+            model=self.model,
+            measured=self.measured,
+            whitening=self.whitening,
+            candidates=torch.ones_like(self.candidates),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ElementFit:
+    """The end of procedure 3.5 for every start."""
+
+    poses: Hypotheses
+    pairs: Pairs
+    """The correspondences at the end."""
+    weights: Float[Tensor, "hypothesis pair component"]
+    """Biweights after eq. 15; 0 for correspondences that were found wrong, and for padding."""
+    cutoff: Float[Tensor, " hypothesis"]
+    """c of eq. 16 at the end."""
+    cost: Float[Tensor, " hypothesis"]
+    """The sum of rho."""
+    information: Float[Tensor, "hypothesis 6 6"]
+    """A^T W A of the correspondences that kept their weight, without biweights."""
+    stop: Int[Tensor, " hypothesis"]
+    """One ``StopReason`` each."""
+    iterations: Int[Tensor, " hypothesis"]
+    """Steps of nonlinear least squares in all rounds."""
+
+
+def procedure_3_5(
+    problem: ElementProblem,
+    starts: Hypotheses,
+    cutoff: Float[Tensor, " hypothesis"],
+    *,
+    detect: Detect,
+    steps: GaussNewtonConfig = FINE,
+    least: float = robust.EFFICIENT,
+    rounds: int = 10,
+) -> ElementFit:
+    """Steps (1) to (5) of 3.5 from every start.
+
+    Args:
+        problem: Elements and candidates.
+        starts: Initial values of the poses.
+        cutoff: First c of eq. 16 in standard deviations; it only shrinks.
+        detect: Step (1).
+        steps: Settings of (2).
+        least: Where c stops shrinking; 0 for the literal eq. 16.
+        rounds: Most repetitions of (1) to (4).
+    """
+    T, c = starts.T.clone(), cutoff.clone()
+    iterations = torch.zeros_like(starts.batch)
+    stop = torch.zeros_like(starts.batch)
+    last = torch.full_like(c, torch.inf)
+    active = torch.arange(len(c), device=c.device)
+    for _ in range(rounds):
+        now = Hypotheses(batch=starts.batch[active], T=T[active])
+        pairs, equations = _detected(problem, now, c[active], detect)  # (1) and (4)
+        solution = minimise(equations.evaluate, _retract, now.T, steps)  # (2) and (3)
+        smaller = _smaller_cutoff(equations, solution, least)
+        T[active] = solution.state
+        iterations[active] += solution.iterations
+        stop[active] = solution.stop
+        cost = solution.equations.cost
+        same = (solution.iterations <= 1) | (cost >= last[active])
+        settled = same & (smaller >= c[active])  # (5)
+        last[active] = torch.where(smaller < c[active], torch.inf, cost)
+        c[active] = smaller
+        active = active[~settled]
+        if len(active) == 0:
+            break
+    poses = Hypotheses(batch=starts.batch, T=T)
+    return _finished(problem, poses, c, stop, iterations, detect)
+
+
+def start_cutoff(
+    problem: ElementProblem, starts: Hypotheses, detect: Detect
+) -> Float[Tensor, " hypothesis"]:
+    """Eq. 16 for starts of which nothing is known: zeta times the median of what is nearest."""
+    everything = torch.full_like(starts.T[:, 0, 0], torch.inf)
+    _, equations = _detected(problem, starts, everything, detect)
+    v, _ = equations.linearise(starts.T, torch.arange(len(starts.T), device=starts.T.device))
+    return _median_cutoff(v, equations.present).clamp(min=robust.EFFICIENT)
+
+
+def _detected(
+    problem: ElementProblem, poses: Hypotheses, cutoff: Tensor, detect: Detect
+) -> tuple[Pairs, RobustCorrespondences]:
+    """The correspondences at some poses and their measurement equations."""
+    squared = squared_errors(poses, problem.model, problem.measured)
+    pairs = detect(squared, problem.candidates[poses.batch], cutoff)
+    residuals = PairResiduals.of(
+        problem.model, problem.measured, problem.whitening, poses.batch, pairs
+    )
+    equations = RobustCorrespondences(
+        linearise=residuals.linearise, present=residuals.present, cutoff=cutoff
+    )
+    return pairs, equations
+
+
+def _retract(T: Tensor, step: Tensor) -> Tensor:
+    return T @ se3.exp(step)
+
+
+def _smaller_cutoff(equations: RobustCorrespondences, solution: Solution, least: float) -> Tensor:
+    """Eq. 16 at the solution: not above the last c, so that it shrinks with the fit."""
+    everyone = torch.arange(len(solution.state), device=solution.state.device)
+    v, _ = equations.linearise(solution.state, everyone)
+    c = _median_cutoff(v, equations.present).clamp(min=least)
+    return torch.minimum(c, equations.cutoff)
+
+
+def _median_cutoff(v: Tensor, present: Tensor) -> Tensor:
+    """zeta median |v| (eq. 16); 0 where there is no correspondence."""
+    sizes = torch.where(present, v.abs(), torch.nan).flatten(1)
+    if sizes.shape[1] == 0:
+        return sizes.new_zeros(len(sizes))
+    return (robust.ZETA * sizes.nanmedian(1).values).nan_to_num(0.0)
+
+
+def _finished(
+    problem: ElementProblem,
+    poses: Hypotheses,
+    cutoff: Tensor,
+    stop: Tensor,
+    iterations: Tensor,
+    detect: Detect,
+) -> ElementFit:
+    pairs, equations = _detected(problem, poses, cutoff, detect)
+    everyone = torch.arange(len(cutoff), device=cutoff.device)
+    v, A = equations.linearise(poses.T, everyone)
+    weights = equations.weights(v)
+    A = torch.where((weights > 0)[..., None], A, 0.0).flatten(1, 2)
+    return ElementFit(
+        poses=poses,
+        pairs=pairs,
+        weights=weights,
+        cutoff=cutoff,
+        cost=equations.evaluate(poses.T, everyone).cost,
+        information=A.mT @ A,
+        stop=stop,
+        iterations=iterations,
+    )

@@ -1,0 +1,135 @@
+"""Elements of a range image or of a model: vertexes, straight lines and planes (3.1 (2))."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+class Kind(IntEnum):
+    """What an element is."""
+
+    POINT = 0
+    LINE = 1
+    """A straight line without a sense of direction."""
+    PLANE = 2
+    """With a normal that points to the side it is seen from."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Elements:
+    """Points, lines and planes in one frame, each with the covariance of its noise (eq. 8)."""
+
+    kind: Int[Tensor, "*batch element"]
+    """One ``Kind`` each."""
+    point: Float[Tensor, "*batch element 3"]
+    """The point, or where on the line or plane its covariance holds (m)."""
+    direction: Float[Tensor, "*batch element 3"]
+    """Unit length: along the line, or the plane's normal; 0 for a point."""
+    covariance: Float[Tensor, "*batch element 6 6"]
+    """Of (point, direction), in m and rad: 0 for the elements of a model. Only its parts across a
+    line, and along the normal of a plane, count; those must be definite for measured elements."""
+
+    @staticmethod
+    def points(
+        point: Float[Tensor, "*batch element 3"],
+        covariance: Float[Tensor, "*batch element 3 3"] | None = None,
+    ) -> "Elements":
+        """Vertexes (m) with their covariance; without one they are exact."""
+        full = _exact(point)
+        if covariance is not None:
+            full[..., :3, :3] = covariance
+        kind = torch.full(point.shape[:-1], Kind.POINT.value, device=point.device)
+        return Elements(
+            kind=kind, point=point, direction=torch.zeros_like(point), covariance=full
+        )
+
+    @staticmethod
+    def lines(
+        point: Float[Tensor, "*batch element 3"],
+        direction: Float[Tensor, "*batch element 3"],
+        covariance: Float[Tensor, "*batch element 6 6"] | None = None,
+    ) -> "Elements":
+        """Straight lines through points (m) along directions of any length."""
+        return _directed(Kind.LINE, point, direction, covariance)
+
+    @staticmethod
+    def planes(
+        point: Float[Tensor, "*batch element 3"],
+        normal: Float[Tensor, "*batch element 3"],
+        covariance: Float[Tensor, "*batch element 6 6"] | None = None,
+    ) -> "Elements":
+        """Planes through points (m) with normals of any length."""
+        return _directed(Kind.PLANE, point, normal, covariance)
+
+    @staticmethod
+    def join(*parts: "Elements") -> "Elements":
+        """All elements of several sets with the same batch."""
+        return Elements(
+            kind=torch.cat([part.kind for part in parts], -1),
+            point=torch.cat([part.point for part in parts], -2),
+            direction=torch.cat([part.direction for part in parts], -2),
+            covariance=torch.cat([part.covariance for part in parts], -3),
+        )
+
+    def expand(self, *batch: int) -> "Elements":
+        """The same elements for every member of a batch, without copies."""
+        return Elements(
+            kind=self.kind.expand(*batch, *self.kind.shape[-1:]),
+            point=self.point.expand(*batch, *self.point.shape[-2:]),
+            direction=self.direction.expand(*batch, *self.direction.shape[-2:]),
+            covariance=self.covariance.expand(*batch, *self.covariance.shape[-3:]),
+        )
+
+    def flattened(self) -> "Elements":
+        """With one batch axis."""
+        return Elements(
+            kind=self.kind.reshape(-1, *self.kind.shape[-1:]),
+            point=self.point.reshape(-1, *self.point.shape[-2:]),
+            direction=self.direction.reshape(-1, *self.direction.shape[-2:]),
+            covariance=self.covariance.reshape(-1, *self.covariance.shape[-3:]),
+        )
+
+    def __getitem__(self, batch: Tensor | slice) -> "Elements":
+        """The elements of some members of the first batch axis."""
+        return Elements(
+            kind=self.kind[batch],
+            point=self.point[batch],
+            direction=self.direction[batch],
+            covariance=self.covariance[batch],
+        )
+
+    @property
+    def count(self) -> int:
+        """Elements of each member of the batch."""
+        return self.kind.shape[-1]
+
+    @property
+    def directed(self) -> bool:
+        """Whether there are lines or planes."""
+        return bool((self.kind != Kind.POINT).any())
+
+    def deviation(self) -> tuple[Float[Tensor, "*batch element"], Float[Tensor, "*batch element"]]:
+        """Bounds of the standard deviations of point (m) and direction (rad) along any axis."""
+        position, direction = self.covariance[..., :3, :3], self.covariance[..., 3:, 3:]
+        return _bound(position), _bound(direction)
+
+
+def _directed(kind: Kind, point: Tensor, direction: Tensor, covariance: Tensor | None) -> Elements:
+    return Elements(
+        kind=torch.full(point.shape[:-1], kind.value, device=point.device),
+        point=point,
+        direction=torch.nn.functional.normalize(direction, dim=-1),
+        covariance=_exact(point) if covariance is None else covariance,
+    )
+
+
+def _exact(point: Tensor) -> Tensor:
+    return torch.zeros(*point.shape[:-1], 6, 6, dtype=point.dtype, device=point.device)
+
+
+def _bound(covariance: Tensor) -> Tensor:
+    """The largest row sum bounds the largest eigenvalue and is equal to it without correlation."""
+    return covariance.abs().sum(-1).amax(-1).sqrt()
