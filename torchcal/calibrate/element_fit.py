@@ -89,7 +89,7 @@ def procedure_3_5(
     detect: Detect,
     steps: GaussNewtonConfig = FINE,
     least: float = robust.EFFICIENT,
-    rounds: int = 10,
+    rounds: int = 6,
 ) -> ElementFit:
     """Steps (1) to (5) of 3.5 from every start.
 
@@ -116,7 +116,8 @@ def procedure_3_5(
         iterations[active] += solution.iterations
         stop[active] = solution.stop
         cost = solution.equations.cost
-        same = (solution.iterations <= 1) | (cost >= last[active])
+        # A step as short as the tolerance lowers the cost by half its square.
+        same = (solution.iterations <= 1) | (cost > last[active] - 0.5 * steps.tolerance**2)
         settled = same & (smaller >= c[active])  # (5)
         last[active] = torch.where(smaller < c[active], torch.inf, cost)
         c[active] = smaller

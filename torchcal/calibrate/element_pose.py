@@ -43,7 +43,7 @@ class ElementSearch:
     """Share of the measured elements that a good estimate explains."""
     least_cutoff: float = robust.EFFICIENT
     """Where c of eq. 16 stops shrinking in the last fit; 0 for the literal equation."""
-    chunk: int = 1000
+    chunk: int = 2000
     """Problems that are solved at a time: it bounds the memory."""
 
 

@@ -1,5 +1,6 @@
 """Elements of a range image or of a model: vertexes, straight lines and planes (3.1 (2))."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -76,29 +77,28 @@ class Elements:
 
     def expand(self, *batch: int) -> "Elements":
         """The same elements for every member of a batch, without copies."""
-        return Elements(
-            kind=self.kind.expand(*batch, *self.kind.shape[-1:]),
-            point=self.point.expand(*batch, *self.point.shape[-2:]),
-            direction=self.direction.expand(*batch, *self.direction.shape[-2:]),
-            covariance=self.covariance.expand(*batch, *self.covariance.shape[-3:]),
-        )
+        own = self.kind.ndim - 1
+        return self._map(lambda values: values.expand(*batch, *values.shape[own:]))
 
     def flattened(self) -> "Elements":
         """With one batch axis."""
-        return Elements(
-            kind=self.kind.reshape(-1, *self.kind.shape[-1:]),
-            point=self.point.reshape(-1, *self.point.shape[-2:]),
-            direction=self.direction.reshape(-1, *self.direction.shape[-2:]),
-            covariance=self.covariance.reshape(-1, *self.covariance.shape[-3:]),
-        )
+        own = self.kind.ndim - 1
+        return self._map(lambda values: values.reshape(-1, *values.shape[own:]))
 
-    def __getitem__(self, batch: Tensor | slice) -> "Elements":
+    def to(self, device: str | torch.device) -> "Elements":
+        """On another device."""
+        return self._map(lambda values: values.to(device))
+
+    def __getitem__(self, members: Tensor | slice) -> "Elements":
         """The elements of some members of the first batch axis."""
+        return self._map(lambda values: values[members])
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> "Elements":
         return Elements(
-            kind=self.kind[batch],
-            point=self.point[batch],
-            direction=self.direction[batch],
-            covariance=self.covariance[batch],
+            kind=change(self.kind),
+            point=change(self.point),
+            direction=change(self.direction),
+            covariance=change(self.covariance),
         )
 
     @property
