@@ -45,11 +45,11 @@ class Options:
     """Where the results are written, beside the standard output."""
 
 
-def solve(trials: brick.BrickTrials, options: Options, least_cutoff: float) -> torchcal.ElementPoses:
+def solve(
+    trials: brick.BrickTrials, options: Options, least_cutoff: float
+) -> torchcal.ElementPoses:
     detect = (
-        torchcal.nearest_candidate
-        if options.protocol == "nearest"
-        else torchcal.every_candidate
+        torchcal.nearest_candidate if options.protocol == "nearest" else torchcal.every_candidate
     )
     return torchcal.find_element_poses(
         brick.brick_model().to(options.device),
@@ -80,9 +80,7 @@ def from_candidates(poses: torchcal.ElementPoses, truth: torch.Tensor) -> dict[s
         "success_modulo_symmetry_from_candidates": float(
             shares(batch, success.any(-1), len(truth)).mean()
         ),
-        "success_absolute_from_candidates": float(
-            shares(batch, success[:, 0], len(truth)).mean()
-        ),
+        "success_absolute_from_candidates": float(shares(batch, success[:, 0], len(truth)).mean()),
     }
 
 
@@ -101,13 +99,16 @@ def accuracy(poses: torchcal.ElementPoses, truth: torch.Tensor) -> dict[str, flo
     twists = brick.errors(poses.T_measured_model.cpu(), truth)
     success = brick.are_successes(twists)
     kept = success.any(-1)
+    known = poses.covariance.cpu().isfinite().flatten(1).all(-1)
     xi = twists[kept, success[kept].double().argmax(-1)]
-    normalised = torch.linalg.solve(poses.covariance.cpu()[kept], xi)
+    told = known[kept]
+    normalised = torch.linalg.solve(poses.covariance.cpu()[kept & known], xi[told])
     return {
         "success_modulo_symmetry": float(kept.double().mean()),
         "position_rms_m": float(xi[:, :3].square().sum(-1).mean().sqrt()),
         "rotation_rms_rad": float(xi[:, 3:].square().sum(-1).mean().sqrt()),
-        "nees_mean": float((xi * normalised).sum(-1).mean() / 6),
+        "nees_mean": float((xi[told] * normalised).sum(-1).mean() / 6),
+        "with_covariance": float(told.double().mean()),
     }
 
 

@@ -1,5 +1,3 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import torch
@@ -13,6 +11,7 @@ from torchcal.solve.gauss_newton import (
     StopReason,
     covariance,
     minimise,
+    shared,
 )
 
 EXACT = GaussNewtonConfig(iterations=100, tolerance=1e-9)
@@ -29,13 +28,6 @@ def equations(r: torch.Tensor, A: torch.Tensor) -> NormalEquations:
         information=A.mT @ A,
         gradient=(A.mT @ r[..., None])[..., 0],
     )
-
-
-def shared(
-    evaluate: Callable[[torch.Tensor], NormalEquations],
-) -> Callable[[torch.Tensor, torch.Tensor], NormalEquations]:
-    """Of a problem that is the same for every element."""
-    return lambda state, element: evaluate(state)
 
 
 def valley(x: torch.Tensor) -> NormalEquations:
@@ -113,7 +105,9 @@ def test_points_are_aligned_as_in_closed_form(rng):
 
 def test_a_batch_is_its_elements_bit_for_bit():
     whole = minimise(shared(valley), add, starts(), GaussNewtonConfig(iterations=12))
-    alone = [minimise(shared(valley), add, x[None], GaussNewtonConfig(iterations=12)) for x in starts()]
+    alone = [
+        minimise(shared(valley), add, x[None], GaussNewtonConfig(iterations=12)) for x in starts()
+    ]
     assert_close(torch.cat([s.state for s in alone]), whole.state, rtol=0, atol=0)
     assert_close(torch.cat([s.stop for s in alone]), whole.stop)
     assert_close(torch.cat([s.iterations for s in alone]), whole.iterations)
@@ -157,7 +151,9 @@ def test_elements_that_have_stopped_are_not_evaluated_again():
 
 
 def test_iterations_that_were_used_up_are_said():
-    solution = minimise(shared(valley), add, starts(), GaussNewtonConfig(iterations=1, tolerance=1e-9))
+    solution = minimise(
+        shared(valley), add, starts(), GaussNewtonConfig(iterations=1, tolerance=1e-9)
+    )
     assert solution.stop.eq(StopReason.ITERATIONS).all()
     assert solution.iterations.eq(1).all()
 

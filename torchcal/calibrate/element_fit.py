@@ -46,9 +46,7 @@ class ElementProblem:
 
     def rows(self, chosen: Int[Tensor, " member"]) -> "ElementProblem":
         """Some members of the batch."""
-        return ElementProblem.of(
-            self.model[chosen], self.measured[chosen], self.candidates[chosen]
-        )
+        return ElementProblem.of(self.model[chosen], self.measured[chosen], self.candidates[chosen])
 
     def with_every_pair(self) -> "ElementProblem":
         """The same with C ignored."""
@@ -62,23 +60,24 @@ class ElementProblem:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ElementFit:
-    """The end of procedure 3.5 for every start."""
+    """Where procedure 3.5 ended from every start."""
 
     poses: Hypotheses
-    pairs: Pairs
-    """The correspondences at the end."""
-    weights: Float[Tensor, "hypothesis pair component"]
-    """Biweights after eq. 15; 0 for correspondences that were found wrong, and for padding."""
     cutoff: Float[Tensor, " hypothesis"]
     """c of eq. 16 at the end."""
-    cost: Float[Tensor, " hypothesis"]
-    """The sum of rho."""
-    information: Float[Tensor, "hypothesis 6 6"]
-    """A^T W A of the correspondences that kept their weight, without biweights."""
     stop: Int[Tensor, " hypothesis"]
     """One ``StopReason`` each."""
     iterations: Int[Tensor, " hypothesis"]
     """Steps of nonlinear least squares in all rounds."""
+
+    def rows(self, chosen: Tensor) -> "ElementFit":
+        """Some of the fits."""
+        return ElementFit(
+            poses=self.poses[chosen],
+            cutoff=self.cutoff[chosen],
+            stop=self.stop[chosen],
+            iterations=self.iterations[chosen],
+        )
 
 
 def procedure_3_5(
@@ -98,34 +97,64 @@ def procedure_3_5(
         starts: Initial values of the poses.
         cutoff: First c of eq. 16 in standard deviations; it only shrinks.
         detect: Step (1).
-        steps: Settings of (2).
+        steps: Settings of (2) after the first round, which only finds what is wrong.
         least: Where c stops shrinking; 0 for the literal eq. 16.
         rounds: Most repetitions of (1) to (4).
     """
     T, c = starts.T.clone(), cutoff.clone()
-    iterations = torch.zeros_like(starts.batch)
-    stop = torch.zeros_like(starts.batch)
-    last = torch.full_like(c, torch.inf)
+    iterations, stop = torch.zeros_like(starts.batch), torch.zeros_like(starts.batch)
+    lowest = torch.full_like(c, torch.inf)
     active = torch.arange(len(c), device=c.device)
-    for _ in range(rounds):
+    for config in [COARSE, *[steps] * (rounds - 1)]:
         now = Hypotheses(batch=starts.batch[active], T=T[active])
-        pairs, equations = _detected(problem, now, c[active], detect)  # (1) and (4)
-        solution = minimise(equations.evaluate, _retract, now.T, steps)  # (2) and (3)
+        _, equations = _detected(problem, now, c[active], detect)  # (1) and (4)
+        solution = minimise(equations.evaluate, _retract, now.T, config)  # (2) and (3)
         smaller = _smaller_cutoff(equations, solution, least)
-        T[active] = solution.state
+        T[active], stop[active] = solution.state, solution.stop
         iterations[active] += solution.iterations
-        stop[active] = solution.stop
-        cost = solution.equations.cost
-        # A step as short as the tolerance lowers the cost by half its square.
-        same = (solution.iterations <= 1) | (cost > last[active] - 0.5 * steps.tolerance**2)
-        settled = same & (smaller >= c[active])  # (5)
-        last[active] = torch.where(smaller < c[active], torch.inf, cost)
+        still = (solution.iterations <= 1) | ~_is_lower(solution, lowest[active], config)
+        settled = still & (smaller >= c[active])  # (5)
+        lowest[active] = torch.where(smaller < c[active], torch.inf, solution.equations.cost)
         c[active] = smaller
         active = active[~settled]
         if len(active) == 0:
             break
     poses = Hypotheses(batch=starts.batch, T=T)
-    return _finished(problem, poses, c, stop, iterations, detect)
+    return ElementFit(poses=poses, cutoff=c, stop=stop, iterations=iterations)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Correspondences:
+    """What a fit rests on."""
+
+    pairs: Pairs
+    weights: Float[Tensor, "hypothesis pair component"]
+    """Biweights after eq. 15; 0 for correspondences that were found wrong, and for padding."""
+    cost: Float[Tensor, " hypothesis"]
+    """The sum of rho."""
+    information: Float[Tensor, "hypothesis 6 6"]
+    """A^T W A of the correspondences that kept their weight, without biweights."""
+
+
+def correspondences(problem: ElementProblem, fit: ElementFit, detect: Detect) -> Correspondences:
+    """The correspondences at the end of a fit, with their weights.
+
+    Args:
+        problem: Elements and candidates.
+        fit: Poses and cut-offs.
+        detect: Step (1).
+    """
+    pairs, equations = _detected(problem, fit.poses, fit.cutoff, detect)
+    everyone = torch.arange(len(fit.cutoff), device=fit.cutoff.device)
+    v, A = equations.linearise(fit.poses.T, everyone)
+    weights = equations.weights(v)
+    A = torch.where((weights > 0)[..., None], A, 0.0).flatten(1, 2)
+    return Correspondences(
+        pairs=pairs,
+        weights=weights,
+        cost=equations.evaluate(fit.poses.T, everyone).cost,
+        information=A.mT @ A,
+    )
 
 
 def start_cutoff(
@@ -143,7 +172,9 @@ def _detected(
 ) -> tuple[Pairs, RobustCorrespondences]:
     """The correspondences at some poses and their measurement equations."""
     squared = squared_errors(poses, problem.model, problem.measured)
-    pairs = detect(squared, problem.candidates[poses.batch], cutoff)
+    # A median far below would drop right pairs for good, and then be that of fewer and fewer.
+    reach = cutoff.clamp(min=robust.EFFICIENT)
+    pairs = detect(squared, problem.candidates[poses.batch], reach)
     residuals = PairResiduals.of(
         problem.model, problem.measured, problem.whitening, poses.batch, pairs
     )
@@ -157,6 +188,11 @@ def _retract(T: Tensor, step: Tensor) -> Tensor:
     return T @ se3.exp(step)
 
 
+def _is_lower(solution: Solution, lowest: Tensor, config: GaussNewtonConfig) -> Tensor:
+    """Whether the cost fell by more than a step as short as the tolerance lowers it."""
+    return solution.equations.cost < lowest - 0.5 * config.tolerance**2
+
+
 def _smaller_cutoff(equations: RobustCorrespondences, solution: Solution, least: float) -> Tensor:
     """Eq. 16 at the solution: not above the last c, so that it shrinks with the fit."""
     everyone = torch.arange(len(solution.state), device=solution.state.device)
@@ -166,33 +202,8 @@ def _smaller_cutoff(equations: RobustCorrespondences, solution: Solution, least:
 
 
 def _median_cutoff(v: Tensor, present: Tensor) -> Tensor:
-    """zeta median |v| (eq. 16); 0 where there is no correspondence."""
+    """Eq. 16: zeta median |v|; 0 where there is no correspondence."""
     sizes = torch.where(present, v.abs(), torch.nan).flatten(1)
     if sizes.shape[1] == 0:
         return sizes.new_zeros(len(sizes))
     return (robust.ZETA * sizes.nanmedian(1).values).nan_to_num(0.0)
-
-
-def _finished(
-    problem: ElementProblem,
-    poses: Hypotheses,
-    cutoff: Tensor,
-    stop: Tensor,
-    iterations: Tensor,
-    detect: Detect,
-) -> ElementFit:
-    pairs, equations = _detected(problem, poses, cutoff, detect)
-    everyone = torch.arange(len(cutoff), device=cutoff.device)
-    v, A = equations.linearise(poses.T, everyone)
-    weights = equations.weights(v)
-    A = torch.where((weights > 0)[..., None], A, 0.0).flatten(1, 2)
-    return ElementFit(
-        poses=poses,
-        pairs=pairs,
-        weights=weights,
-        cutoff=cutoff,
-        cost=equations.evaluate(poses.T, everyone).cost,
-        information=A.mT @ A,
-        stop=stop,
-        iterations=iterations,
-    )

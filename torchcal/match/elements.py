@@ -43,9 +43,7 @@ class Elements:
         if covariance is not None:
             full[..., :3, :3] = covariance
         kind = torch.full(point.shape[:-1], Kind.POINT.value, device=point.device)
-        return Elements(
-            kind=kind, point=point, direction=torch.zeros_like(point), covariance=full
-        )
+        return Elements(kind=kind, point=point, direction=torch.zeros_like(point), covariance=full)
 
     @staticmethod
     def lines(

@@ -1,4 +1,4 @@
-"""Lengths and angles that no motion changes: which pairs of elements may belong together (eq. 6)."""
+"""Lengths and angles that no motion changes: which pairs may hold together (eq. 6)."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class Invariants:
     """The characteristic values of every two elements of a set."""
 
     angle: Float[Tensor, "*batch element element"]
-    """Between two directions; of undirected lines the acute one; 0 where a point takes part (rad)."""
+    """Between two directions, of lines the acute one; 0 where a point takes part (rad)."""
     angle_variance: Float[Tensor, "*batch element element"]
     distance: Float[Tensor, "*batch element element"]
     """Between points and lines, of a point above a plane, and 0 for every other two (m)."""

@@ -21,7 +21,9 @@ class Pairs:
         """The ones of the matrices C of eq. 6, in the order of the model's elements."""
         problem, model, measured = candidates.nonzero(as_tuple=True)
         count = candidates.flatten(1).sum(1)
-        column = torch.arange(len(problem), device=count.device) - (count.cumsum(0) - count)[problem]
+        column = (
+            torch.arange(len(problem), device=count.device) - (count.cumsum(0) - count)[problem]
+        )
         shape = (len(candidates), int(count.max()) if len(count) else 0)
         padded = model.new_zeros(3, *shape)
         padded[:, problem, column] = torch.stack([model, measured, torch.ones_like(model)])
@@ -29,7 +31,7 @@ class Pairs:
 
     def sorted_by(self, key: Int[Tensor, "problem pair"]) -> "Pairs":
         """In ascending order of a key, padding last."""
-        order = torch.where(self.valid, key, torch.iinfo(key.dtype).max).argsort(1, stable=True)
+        order = torch.where(self.valid, key, torch.iinfo(key.dtype).max).argsort(dim=1, stable=True)
         return Pairs(
             model=self.model.gather(1, order),
             measured=self.measured.gather(1, order),

@@ -103,7 +103,7 @@ class PairResiduals:
     def linearise(
         self, T: Float[Tensor, "active 4 4"], problem: Int[Tensor, " active"]
     ) -> tuple[Float[Tensor, "active pair component"], Float[Tensor, "active pair component 6"]]:
-        """v of eq. 15 and the derivative A of the prediction (eq. 13) to a twist of ``T``.
+        """Residuals v (eq. 15) and the derivative A of the prediction (eq. 13) to a twist of ``T``.
 
         Both are whitened; the pose changes as ``T @ exp(twist)``.
 
@@ -127,7 +127,7 @@ class PairResiduals:
     def residual(
         self, T: Float[Tensor, "active 4 4"], problem: Int[Tensor, " active"]
     ) -> Float[Tensor, "active pair component"]:
-        """v of eq. 15 alone."""
+        """Residuals v (eq. 15) alone."""
         return self.linearise(T, problem)[0]
 
 
@@ -198,7 +198,5 @@ def _turns(
     half = (1.0 + cosine).clamp(min=OPPOSITE)
     stretch = (2.0 / half).sqrt()
     sideways = (across @ e[..., None])[..., 0]
-    rows = stretch[..., None] * (
-        across - 0.5 * (sideways / half)[..., None] * n[..., None, :]
-    )
+    rows = stretch[..., None] * (across - 0.5 * (sideways / half)[..., None] * n[..., None, :])
     return stretch * sideways, sense[..., None] * rows

@@ -15,7 +15,7 @@ def squared_errors(
     """Squared distance in standard deviations of every measured from every model's element.
 
     The larger of that of the points and that of the directions; infinite between elements of
-    different kinds. The standard deviations are bounds over all axes.
+    different kinds and where one is not finite. The standard deviations are bounds over all axes.
 
     Args:
         hypotheses: Poses that carry the model's elements onto the measured ones.
@@ -29,7 +29,7 @@ def squared_errors(
     # Differences first: the expansion with a matrix product would lose small distances far away.
     squared = torch.cdist(x, q, compute_mode="donot_use_mm_for_euclid_dist").square()
     if not model.directed:
-        return squared * precision
+        return _without_nan(squared * precision)
     kind = model.kind[batch][:, :, None]
     e = model.direction[batch] @ T[:, :3, :3].mT
     along = ((e * x).sum(-1, keepdim=True) - e @ q.mT).square()
@@ -39,7 +39,8 @@ def squared_errors(
     cosine = torch.where(kind == Kind.LINE, cosine.abs(), cosine)
     turned = (2.0 - 2.0 * cosine) / direction_sigma.square()[batch][:, None]
     squared = torch.where(kind == Kind.POINT, squared, torch.maximum(squared, turned))
-    return torch.where(kind == measured.kind[batch][:, None], squared, torch.inf)
+    same = kind == measured.kind[batch][:, None]
+    return _without_nan(torch.where(same, squared, torch.inf))
 
 
 def distinct(pairs: Bool[Tensor, "*batch model measured"]) -> Int[Tensor, "*batch"]:
@@ -73,3 +74,7 @@ def are_best(
     least = torch.iinfo(score.dtype).min
     highest = score.new_full((members,), least).scatter_reduce(0, batch, score, "amax")
     return score == highest[batch]
+
+
+def _without_nan(squared: Tensor) -> Tensor:
+    return torch.where(squared.isnan(), torch.inf, squared)

@@ -116,6 +116,13 @@ def minimise(
     )
 
 
+def shared(
+    evaluate: Callable[[Tensor], NormalEquations],
+) -> Callable[[Tensor, Tensor], NormalEquations]:
+    """What ``minimise`` evaluates where all elements have the same data."""
+    return lambda state, _element: evaluate(state)
+
+
 class _Progress(NamedTuple):
     """Where some elements are; every tensor has a row for each of them."""
 
@@ -141,9 +148,7 @@ class _Progress(NamedTuple):
 
     def equations(self) -> NormalEquations:
         """At the state."""
-        return NormalEquations(
-            cost=self.cost, information=self.information, gradient=self.gradient
-        )
+        return NormalEquations(cost=self.cost, information=self.information, gradient=self.gradient)
 
 
 def _started(
