@@ -14,7 +14,7 @@ import torchcal
 from torchcal.demo import brick
 
 from .rivals import NEAR, STARTS, Solve, open3d_ransac, open3d_ransac_icp, scipy_multi_start
-from .table import REPORT, Row, Timed, interleaved, missing, table, write_section
+from .table import REPORT, Row, Timed, interleaved, missing, table, versions, write_section
 
 PROTOCOLS: tuple[brick.Protocol, ...] = ("all-pairs", "one-to-one")
 MANY, FEW = 100_000, 1_000
@@ -29,7 +29,7 @@ Success is within 0.1 m and 0.1 rad of the truth or of a pose that looks the sam
 of the errors, over the successes. The programs take turns in {{rounds}} rounds: torchcal solves all
 trials in each, as one batch, the others a new part of theirs one by one. Seconds are the median
 over the rounds, scaled to {{trials}} trials where the column `trials` says fewer. Imports and the
-first {WARM_UP} trials are not counted. torchcal and Open3D use all cores.
+first {WARM_UP} trials are not counted; nothing is held to one core. {{versions}}.
 
 - torchcal: `find_element_poses`, with detection among all pairs and restarts.
 - Open3D: `registration_ransac_based_on_correspondence` on the candidate pairs, {NEAR} m; "+ ICP" is
@@ -86,7 +86,13 @@ def measure(
         f"### {protocol}\n\n{table(compare(programs, protocol, trials, seed), f'{trials} trials')}"
         for protocol in PROTOCOLS
     ]
-    about = ABOUT.format(trials=trials, seed=seed, scipy_trials=scipy_trials, rounds=rounds)
+    about = ABOUT.format(
+        trials=trials,
+        seed=seed,
+        scipy_trials=scipy_trials,
+        rounds=rounds,
+        versions=versions("open3d", "scipy"),
+    )
     body = "\n".join([about, *tables])
     write_section(out, "solver", body)
     print(body)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -87,6 +89,12 @@ def _cells(row: Row, headings: Sequence[str], reference: float | None) -> list[s
         return [row.program, *cells, NOTHING, NOTHING]
     ratio = f"{row.seconds / reference:.3g}" if reference else NOTHING
     return [row.program, *cells, f"{row.seconds:.3g}", ratio]
+
+
+def versions(*packages: str) -> str:
+    """Packages with their versions, those that are installed."""
+    installed = {package for package in packages if find_spec(package)}
+    return ", ".join(f"{package} {version(package)}" for package in sorted(installed))
 
 
 def machine() -> str:

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from torchcal.geometry import robust, se3
 from torchcal.match.detection import Detect
-from torchcal.match.elements import Elements
+from torchcal.match.elements import Deviation, Elements
 from torchcal.match.minimal_sets import Hypotheses
 from torchcal.match.pairs import Pairs
 from torchcal.match.residuals import PairResiduals, Whitening
-from torchcal.match.support import squared_errors
+from torchcal.match.support import standard_errors
 from torchcal.solve.correspondences import RobustCorrespondences
 from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise
 
@@ -28,6 +28,8 @@ class ElementProblem:
 
     model: Elements
     measured: Elements
+    deviation: Deviation
+    """Of ``measured``."""
     whitening: Whitening
     candidates: Bool[Tensor, "batch model measured"]
     """The matrix C of eq. 6."""
@@ -40,6 +42,7 @@ class ElementProblem:
         return ElementProblem(
             model=model,
             measured=measured,
+            deviation=measured.deviation(),
             whitening=Whitening.of(measured),
             candidates=candidates,
         )
@@ -53,6 +56,7 @@ class ElementProblem:
         return ElementProblem(
             model=self.model,
             measured=self.measured,
+            deviation=self.deviation,
             whitening=self.whitening,
             candidates=torch.ones_like(self.candidates),
         )
@@ -112,7 +116,7 @@ def procedure_3_5(
         smaller = _smaller_cutoff(equations, solution, least)
         T[active], stop[active] = solution.state, solution.stop
         iterations[active] += solution.iterations
-        still = (solution.iterations <= 1) | ~_is_lower(solution, lowest[active], config)
+        still = (solution.iterations <= 1) | ~_is_lower(solution, lowest[active])
         settled = still & (smaller >= c[active])  # (5)
         lowest[active] = torch.where(smaller < c[active], torch.inf, solution.equations.cost)
         c[active] = smaller
@@ -171,10 +175,10 @@ def _detected(
     problem: ElementProblem, poses: Hypotheses, cutoff: Tensor, detect: Detect
 ) -> tuple[Pairs, RobustCorrespondences]:
     """The correspondences at some poses and their measurement equations."""
-    squared = squared_errors(poses, problem.model, problem.measured)
+    error = standard_errors(poses, problem.model, problem.measured, problem.deviation)
     # A median far below would drop right pairs for good, and then be that of fewer and fewer.
     reach = cutoff.clamp(min=robust.EFFICIENT)
-    pairs = detect(squared, problem.candidates[poses.batch], reach)
+    pairs = detect(error, problem.candidates[poses.batch], reach)
     residuals = PairResiduals.of(
         problem.model, problem.measured, problem.whitening, poses.batch, pairs
     )
@@ -188,9 +192,9 @@ def _retract(T: Tensor, step: Tensor) -> Tensor:
     return T @ se3.exp(step)
 
 
-def _is_lower(solution: Solution, lowest: Tensor, config: GaussNewtonConfig) -> Tensor:
-    """Whether the cost fell by more than a step as short as the tolerance lowers it."""
-    return solution.equations.cost < lowest - 0.5 * config.tolerance**2
+def _is_lower(solution: Solution, lowest: Tensor) -> Tensor:
+    """Whether the cost fell by more than half the square of a short step."""
+    return solution.equations.cost < lowest - 0.5 * COARSE.tolerance**2
 
 
 def _smaller_cutoff(equations: RobustCorrespondences, solution: Solution, least: float) -> Tensor:

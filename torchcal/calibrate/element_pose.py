@@ -20,7 +20,7 @@ from torchcal.match.detection import Detect, every_candidate, nearest_candidate
 from torchcal.match.elements import Elements
 from torchcal.match.minimal_sets import Hypotheses, minimal_hypotheses
 from torchcal.match.random_starts import random_starts
-from torchcal.match.support import are_best, are_new, distinct, squared_errors
+from torchcal.match.support import are_best, are_new, distinct, explained
 
 GATE = robust.ZETA * robust.EFFICIENT
 """Standard deviations within which a hypothesis explains an element: zeta steers the search, since
@@ -181,7 +181,7 @@ def _worth_fitting(problem: ElementProblem, starts: Hypotheses) -> Tensor:
 
 def _near(problem: ElementProblem, poses: Hypotheses) -> Tensor:
     """The pairs that a pose explains, candidates or not."""
-    return squared_errors(poses, problem.model, problem.measured) <= GATE**2
+    return explained(poses, problem.model, problem.measured, problem.deviation, gate=GATE)
 
 
 def _support(problem: ElementProblem, tried: TriedPoses) -> Tensor:
@@ -233,8 +233,7 @@ def _check(model: Elements, measured: Elements, candidates: Tensor) -> None:
             f"the model's elements are {model.point.dtype}, the measured ones "
             f"{measured.point.dtype}; both must be the same"
         )
-    position_sigma, _ = measured.deviation()
-    if (position_sigma == 0).any():
+    if (measured.deviation().position == 0).any():
         raise ValueError(
             "measured elements without a covariance; give the covariance of their noise (m^2)"
         )

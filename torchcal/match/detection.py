@@ -11,42 +11,42 @@ from torch import Tensor
 from torchcal.match.pairs import Pairs
 
 Detect: TypeAlias = Callable[[Tensor, Tensor, Tensor], Pairs]
-"""Pairs of each hypothesis from its squared errors, the candidates and the cut-off."""
+"""Pairs of each hypothesis from its standard errors, the candidates and the cut-off."""
 
 CORNER = math.sqrt(3.0)
 """A point of which no component is beyond the cut-off is at most this many cut-offs away."""
 
 
 def every_candidate(
-    squared: Float[Tensor, "hypothesis model measured"],
+    error: Float[Tensor, "hypothesis model measured"],
     candidates: Bool[Tensor, "hypothesis model measured"],
     cutoff: Float[Tensor, " hypothesis"],
 ) -> Pairs:
     """All candidates that have not lost their weight, so an element may be in several pairs.
 
     Args:
-        squared: Squared errors in standard deviations.
+        error: Of each pair, in standard deviations.
         candidates: The matrix C of eq. 6.
         cutoff: c of eq. 16.
     """
-    near = squared <= (CORNER * cutoff).square()[:, None, None]
+    near = error <= CORNER * cutoff[:, None, None]
     return Pairs.of(candidates & near)
 
 
 def nearest_candidate(
-    squared: Float[Tensor, "hypothesis model measured"],
+    error: Float[Tensor, "hypothesis model measured"],
     candidates: Bool[Tensor, "hypothesis model measured"],
     cutoff: Float[Tensor, " hypothesis"],
 ) -> Pairs:
     """The nearest candidate of every element of the model, and not beyond the cut-off.
 
     Args:
-        squared: Squared errors in standard deviations.
+        error: Of each pair, in standard deviations.
         candidates: The matrix C of eq. 6.
         cutoff: c of eq. 16.
     """
-    allowed = torch.where(candidates, squared, torch.inf)
+    allowed = torch.where(candidates, error, torch.inf)
     distance, measured = allowed.min(-1)
-    model = torch.arange(squared.shape[1], device=squared.device).expand_as(measured)
-    near = distance <= (CORNER * cutoff).square()[:, None]
+    model = torch.arange(error.shape[1], device=error.device).expand_as(measured)
+    near = distance <= CORNER * cutoff[:, None]
     return Pairs(model=model, measured=measured, valid=near)

@@ -20,6 +20,16 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Deviation:
+    """Standard deviations of elements, at least those along any axis."""
+
+    position: Float[Tensor, "*batch element"]
+    """m"""
+    direction: Float[Tensor, "*batch element"]
+    """rad"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Elements:
     """Points, lines and planes in one frame, each with the covariance of its noise (eq. 8)."""
 
@@ -109,10 +119,12 @@ class Elements:
         """Whether there are lines or planes."""
         return bool((self.kind != Kind.POINT).any())
 
-    def deviation(self) -> tuple[Float[Tensor, "*batch element"], Float[Tensor, "*batch element"]]:
-        """Bounds of the standard deviations of point (m) and direction (rad) along any axis."""
-        position, direction = self.covariance[..., :3, :3], self.covariance[..., 3:, 3:]
-        return _bound(position), _bound(direction)
+    def deviation(self) -> Deviation:
+        """Bounds of the standard deviations along any axis."""
+        return Deviation(
+            position=_bound(self.covariance[..., :3, :3]),
+            direction=_bound(self.covariance[..., 3:, 3:]),
+        )
 
 
 def _directed(kind: Kind, point: Tensor, direction: Tensor, covariance: Tensor | None) -> Elements:

@@ -29,11 +29,11 @@ class Invariants:
     def of(elements: Elements) -> "Invariants":
         """The angle and the distance of every two elements, with their standard deviations."""
         one, two = elements.kind[..., :, None], elements.kind[..., None, :]
-        position_sigma, direction_sigma = elements.deviation()
+        deviation = elements.deviation()
         offset = elements.point[..., None, :, :] - elements.point[..., :, None, :]
         distance = offset.norm(dim=-1)
-        position_variance = _sum_of_squares(position_sigma)
-        direction_variance = _sum_of_squares(direction_sigma)
+        position_variance = _sum_of_squares(deviation.position)
+        direction_variance = _sum_of_squares(deviation.direction)
         angle = torch.zeros_like(distance)
         if elements.directed:
             # A direction that is off by a little moves what is far from its point by much.
@@ -62,19 +62,26 @@ class Invariants:
             own: Two elements of this set.
             others: Two elements of the other set.
         """
-        own_index, other_index = (batch, *own), (batch, *others)
+        count, other_count = self.angle.shape[-1], other.angle.shape[-1]
+        own_index = (batch * count + own[0]) * count + own[1]
+        other_index = (batch * other_count + others[0]) * other_count + others[1]
         agrees = _within(
-            self.distance[own_index] - other.distance[other_index],
-            self.distance_variance[own_index],
-            other.distance_variance[other_index],
+            _taken(self.distance, own_index) - _taken(other.distance, other_index),
+            _taken(self.distance_variance, own_index),
+            _taken(other.distance_variance, other_index),
         )
         if not (self.angle.any() or other.angle.any()):
             return agrees
         return agrees & _within(
-            self.angle[own_index] - other.angle[other_index],
-            self.angle_variance[own_index],
-            other.angle_variance[other_index],
+            _taken(self.angle, own_index) - _taken(other.angle, other_index),
+            _taken(self.angle_variance, own_index),
+            _taken(other.angle_variance, other_index),
         )
+
+
+def _taken(table: Tensor, index: Tensor) -> Tensor:
+    """Entries of a batch of tables by their numbers: much faster than by three indices each."""
+    return table.reshape(-1).index_select(0, index.reshape(-1)).view(index.shape)
 
 
 def _within(difference: Tensor, variance: Tensor, other_variance: Tensor) -> Tensor:

@@ -81,10 +81,13 @@ def _agreeing_pairs(pairs: Pairs, model: Invariants, measured: Invariants) -> Te
     """Which pairs a < b of each member may hold together, ``(batch, pair, pair)``."""
     count = pairs.model.shape[1]
     first, second = torch.triu_indices(count, count, 1, device=pairs.model.device)
-    own = pairs.model[:, first], pairs.model[:, second]
-    others = pairs.measured[:, first], pairs.measured[:, second]
+
+    def both(values: Tensor) -> tuple[Tensor, Tensor]:
+        return values.index_select(1, first), values.index_select(1, second)
+
+    own, others, valid = both(pairs.model), both(pairs.measured), both(pairs.valid)
     batch = torch.arange(len(pairs.model), device=first.device)[:, None].expand_as(own[0])
-    agree = pairs.valid[:, first] & pairs.valid[:, second]
+    agree = valid[0] & valid[1]
     agree = agree & (own[0] != own[1]) & (others[0] != others[1])
     agree = agree & model.agree(measured, batch, own, others)
     table = pairs.valid.new_zeros(len(pairs.model), count, count)
@@ -134,7 +137,8 @@ def _solve(model: Elements, measured: Elements, pairs: Pairs, sets: Tensor) -> H
         e = measured.direction[others] * sign[:, None]
         one, two = _two_directions(kind, p, d), _two_directions(kind, q, e)
         T = _pose(kind, one, two, p, q, e)
-        keep = _is_determined(one, two) & T.isfinite().all(-1).all(-1)
+        is_choice = ((kind == L) | (sign > 0)).all(1)  # only lines may be turned
+        keep = is_choice & _is_determined(one, two) & T.isfinite().all(-1).all(-1)
         found.append(Hypotheses(batch=batch[keep], T=T[keep]))
     return Hypotheses.join(*found)
 
@@ -174,10 +178,12 @@ def _two_directions(kind: Tensor, p: Tensor, d: Tensor) -> Tensor:
 def _pose(kind: Tensor, one: Tensor, two: Tensor, p: Tensor, q: Tensor, e: Tensor) -> Tensor:
     """Rotation from the directions; then the position is linear: sum N (q - R p - t) = 0."""
     R = rotation_from_directions(one, two)
+    offset = q - p @ R.mT
+    if (kind == P).all():
+        return se3.from_rotation_translation(R, offset.mean(1))
     outer = e[..., :, None] * e[..., None, :]
     eye = torch.eye(3, dtype=p.dtype, device=p.device)
     N = torch.where((kind == E)[..., None, None], outer, eye - outer)
-    offset = q - p @ R.mT
     t = solve_3x3(N.sum(1), (N @ offset[..., None]).sum(1)[..., 0], least=PARALLEL**2)
     return se3.from_rotation_translation(R, t)
 

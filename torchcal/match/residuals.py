@@ -147,7 +147,7 @@ def _cross(point: Tensor, rows: Tensor) -> Tensor:
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
     """Products of many small matrices with a vector each."""
-    return (matrix * vector[..., None, :]).sum(-1)
+    return (matrix @ vector[..., None])[..., 0]
 
 
 def _turned(rows: Tensor, R: Tensor) -> Tensor:

@@ -5,42 +5,83 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.geometry import se3
-from torchcal.match.elements import Elements, Kind
+from torchcal.match.elements import Deviation, Elements, Kind
 from torchcal.match.minimal_sets import Hypotheses
 
 
-def squared_errors(
-    hypotheses: Hypotheses, model: Elements, measured: Elements
-) -> Float[Tensor, "hypothesis model measured"]:
-    """Squared distance in standard deviations of every measured from every model's element.
-
-    The larger of that of the points and that of the directions; infinite between elements of
-    different kinds and where one is not finite. The standard deviations are bounds over all axes.
+def explained(
+    hypotheses: Hypotheses,
+    model: Elements,
+    measured: Elements,
+    deviation: Deviation,
+    *,
+    gate: float,
+) -> Bool[Tensor, "hypothesis model measured"]:
+    """Which measured elements lie within ``gate`` standard deviations of which of the model's.
 
     Args:
         hypotheses: Poses that carry the model's elements onto the measured ones.
         model: Elements of each member of the batch.
         measured: Elements of each member of the batch.
+        deviation: ``measured.deviation()``.
+        gate: Standard deviations.
+    """
+    batch = hypotheses.batch
+    distance, turn = _differences(hypotheses, model, measured)
+    near = distance <= gate * deviation.position[batch][:, None]
+    if turn is None:
+        return near
+    return near & (turn <= gate * deviation.direction[batch][:, None])
+
+
+def standard_errors(
+    hypotheses: Hypotheses, model: Elements, measured: Elements, deviation: Deviation
+) -> Float[Tensor, "hypothesis model measured"]:
+    """How many standard deviations every measured element is away from every one of the model's.
+
+    The larger of the number for the points and that for the directions; infinite between elements
+    of different kinds and where one is not finite.
+
+    Args:
+        hypotheses: Poses that carry the model's elements onto the measured ones.
+        model: Elements of each member of the batch.
+        measured: Elements of each member of the batch.
+        deviation: ``measured.deviation()``.
+    """
+    batch = hypotheses.batch
+    distance, turn = _differences(hypotheses, model, measured)
+    error = distance / deviation.position[batch][:, None]
+    if turn is not None:
+        turned = turn / deviation.direction[batch][:, None]
+        error = torch.where(turn > 0, torch.maximum(error, turned), error)
+    return error.nan_to_num(nan=torch.inf, posinf=torch.inf)
+
+
+def _differences(
+    hypotheses: Hypotheses, model: Elements, measured: Elements
+) -> tuple[Tensor, Tensor | None]:
+    """Distances (m) and chords between directions; None for these where all elements are points.
+
+    From a line the distance across, from a plane along its normal; infinite between kinds.
     """
     batch, T = hypotheses.batch, hypotheses.T
-    position_sigma, direction_sigma = measured.deviation()
-    precision = position_sigma.square().reciprocal()[batch][:, None]
     x, q = se3.transform(T, model.point[batch]), measured.point[batch]
     # Differences first: the expansion with a matrix product would lose small distances far away.
-    squared = torch.cdist(x, q, compute_mode="donot_use_mm_for_euclid_dist").square()
+    distance = torch.cdist(x, q, compute_mode="donot_use_mm_for_euclid_dist")
     if not model.directed:
-        return _without_nan(squared * precision)
+        return distance, None
     kind = model.kind[batch][:, :, None]
     e = model.direction[batch] @ T[:, :3, :3].mT
-    along = ((e * x).sum(-1, keepdim=True) - e @ q.mT).square()
-    squared = torch.where(kind == Kind.LINE, (squared - along).clamp(min=0.0), squared)
-    squared = torch.where(kind == Kind.PLANE, along, squared) * precision
+    along = ((e * x).sum(-1, keepdim=True) - e @ q.mT).abs()
+    across = (distance.square() - along.square()).clamp(min=0.0).sqrt()
+    distance = torch.where(kind == Kind.LINE, across, distance)
+    distance = torch.where(kind == Kind.PLANE, along, distance)
     cosine = e @ measured.direction[batch].mT
     cosine = torch.where(kind == Kind.LINE, cosine.abs(), cosine)
-    turned = (2.0 - 2.0 * cosine) / direction_sigma.square()[batch][:, None]
-    squared = torch.where(kind == Kind.POINT, squared, torch.maximum(squared, turned))
+    chord = (2.0 - 2.0 * cosine).clamp(min=0.0).sqrt()
+    chord = torch.where(kind == Kind.POINT, 0.0, chord)
     same = kind == measured.kind[batch][:, None]
-    return _without_nan(torch.where(same, squared, torch.inf))
+    return torch.where(same, distance, torch.inf), chord
 
 
 def distinct(pairs: Bool[Tensor, "*batch model measured"]) -> Int[Tensor, "*batch"]:
@@ -74,7 +115,3 @@ def are_best(
     least = torch.iinfo(score.dtype).min
     highest = score.new_full((members,), least).scatter_reduce(0, batch, score, "amax")
     return score == highest[batch]
-
-
-def _without_nan(squared: Tensor) -> Tensor:
-    return torch.where(squared.isnan(), torch.inf, squared)

@@ -1,0 +1,110 @@
+import math
+
+import pytest
+import torch
+from drawn_elements import covariances, normal, units, well_placed
+from torch.testing import assert_close
+
+from torchcal.match.elements import Elements, Kind
+from torchcal.match.pairs import Pairs
+
+
+def test_points_carry_their_covariance_and_no_direction(rng):
+    point, full = normal(2, 4, 3, rng=rng), covariances(2, 4, rng=rng)
+    found = Elements.points(point, full[..., :3, :3])
+    assert found.kind.eq(Kind.POINT).all()
+    assert found.direction.eq(0).all()
+    assert_close(found.covariance[..., :3, :3], full[..., :3, :3])
+    assert found.covariance[..., 3:, :].eq(0).all()
+    assert found.covariance[..., 3:].eq(0).all()
+
+
+@pytest.mark.parametrize(("make", "kind"), [(Elements.lines, 1), (Elements.planes, 2)])
+def test_directions_of_any_length_become_unit_vectors(make, kind, rng):
+    point, direction = normal(2, 4, 3, rng=rng), units(2, 4, rng=rng)
+    full = covariances(2, 4, rng=rng)
+    found = make(point, 7.0 * direction, full)
+    assert found.kind.eq(kind).all()
+    assert_close(found.direction, direction)
+    assert_close(found.covariance, full, rtol=0, atol=0)
+
+
+def test_without_a_covariance_elements_are_exact(rng):
+    point = normal(4, 3, rng=rng)
+    for found in (Elements.points(point), Elements.lines(point, point), Elements.planes(point, point)):
+        assert found.covariance.eq(0).all()
+
+
+def test_join_keeps_the_order_and_count_and_says_what_is_directed(rng):
+    point = normal(2, 3, 3, rng=rng)
+    points, planes = Elements.points(point), Elements.planes(point + 1, point)
+    both = Elements.join(points, planes)
+    assert_close(both.point, torch.cat([point, point + 1], 1))
+    assert both.kind.tolist() == [[0, 0, 0, 2, 2, 2]] * 2
+    assert both.count == 6
+    assert both.directed
+    assert not points.directed
+
+
+def test_members_are_chosen_repeated_and_flattened(rng):
+    own = well_placed("PLE", 4, rng=rng)
+    assert_close(own[torch.tensor([2, 0])].point, own.point[[2, 0]])
+    spread = own[:1].expand(2, 3, 1)
+    assert spread.point.shape == (2, 3, 1, 3, 3)
+    assert_close(spread.flattened().direction, own.direction[:1].repeat(6, 1, 1))
+    alone = Elements.points(normal(5, 3, rng=rng)).expand(7)
+    assert alone.kind.shape == (7, 5)
+    assert alone.flattened().covariance.shape == (7, 5, 6, 6)
+
+
+def test_deviation_is_that_of_the_axes_without_correlation():
+    covariance = torch.diag(torch.tensor([1.0, 4.0, 9.0, 0.04, 0.01, 0.01], dtype=torch.float64))
+    point = torch.zeros(1, 3, dtype=torch.float64)
+    position, direction = Elements.lines(point, point + 1, covariance[None]).deviation()
+    assert position.tolist() == [3.0]
+    assert direction.tolist() == pytest.approx([0.2])
+
+
+def test_deviation_bounds_that_along_every_axis(rng):
+    covariance = covariances(200, rng=rng, sigma=1.0)
+    point = normal(200, 3, rng=rng)
+    bounds = Elements.planes(point, point, covariance).deviation()
+    for bound, part in zip(bounds, (slice(0, 3), slice(3, 6)), strict=True):
+        largest = torch.linalg.eigvalsh(covariance[:, part, part])[:, -1].sqrt()
+        assert (bound >= largest * (1 - 1e-12)).all()
+        assert (bound <= largest * math.sqrt(3) * (1 + 1e-12)).all()
+
+
+def listed(pairs: Pairs) -> list[list[tuple[int, int]]]:
+    rows = zip(pairs.model.tolist(), pairs.measured.tolist(), pairs.valid.tolist(), strict=True)
+    return [
+        [(i, j) for i, j, valid in zip(*row, strict=True) if valid] for row in rows
+    ]
+
+
+def test_pairs_are_the_ones_of_every_matrix(rng):
+    C = torch.rand(5, 3, 4, generator=rng) < 0.5
+    C[2] = False
+    expected = [
+        [(i, j) for i in range(3) for j in range(4) if bool(C[b, i, j])] for b in range(5)
+    ]
+    pairs = Pairs.of(C)
+    assert listed(pairs) == expected
+    assert pairs.model.shape[1] == max(map(len, expected))
+
+
+def test_sorted_pairs_follow_their_key_and_keep_the_padding_last(rng):
+    C = torch.rand(5, 3, 4, generator=rng) < 0.5
+    C[2] = False
+    pairs = Pairs.of(C)
+    key = torch.tensor([2, 0, 1])
+    found = pairs.sorted_by(key[pairs.model])
+    expected = [sorted(row, key=lambda pair: int(key[pair[0]])) for row in listed(pairs)]
+    assert listed(found) == expected
+    assert_close(found.valid, pairs.valid)
+
+
+@pytest.mark.parametrize("shape", [(0, 3, 4), (2, 0, 4), (2, 3, 0)], ids=str)
+def test_matrices_without_elements_have_no_pairs(shape):
+    pairs = Pairs.of(torch.zeros(*shape, dtype=torch.bool))
+    assert pairs.valid.shape == (shape[0], 0)
