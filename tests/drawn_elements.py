@@ -28,7 +28,9 @@ def poses(count: int, *, rng: torch.Generator, size: float = 1.0) -> Tensor:
     return se3.exp(size * normal(count, 6, rng=rng))
 
 
-def elements(word: str, point: Tensor, direction: Tensor, covariance: Tensor | None = None) -> Elements:
+def elements(
+    word: str, point: Tensor, direction: Tensor, covariance: Tensor | None = None
+) -> Elements:
     """Elements of the kinds that the letters name; directions of any length."""
     kind = torch.tensor([KINDS[letter].value for letter in word], dtype=torch.int64)
     kind = kind.expand(point.shape[:-1])

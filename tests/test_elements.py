@@ -31,7 +31,11 @@ def test_directions_of_any_length_become_unit_vectors(make, kind, rng):
 
 def test_without_a_covariance_elements_are_exact(rng):
     point = normal(4, 3, rng=rng)
-    for found in (Elements.points(point), Elements.lines(point, point), Elements.planes(point, point)):
+    for found in (
+        Elements.points(point),
+        Elements.lines(point, point),
+        Elements.planes(point, point),
+    ):
         assert found.covariance.eq(0).all()
 
 
@@ -60,16 +64,16 @@ def test_members_are_chosen_repeated_and_flattened(rng):
 def test_deviation_is_that_of_the_axes_without_correlation():
     covariance = torch.diag(torch.tensor([1.0, 4.0, 9.0, 0.04, 0.01, 0.01], dtype=torch.float64))
     point = torch.zeros(1, 3, dtype=torch.float64)
-    position, direction = Elements.lines(point, point + 1, covariance[None]).deviation()
-    assert position.tolist() == [3.0]
-    assert direction.tolist() == pytest.approx([0.2])
+    found = Elements.lines(point, point + 1, covariance[None]).deviation()
+    assert found.position.tolist() == [3.0]
+    assert found.direction.tolist() == pytest.approx([0.2])
 
 
 def test_deviation_bounds_that_along_every_axis(rng):
     covariance = covariances(200, rng=rng, sigma=1.0)
     point = normal(200, 3, rng=rng)
-    bounds = Elements.planes(point, point, covariance).deviation()
-    for bound, part in zip(bounds, (slice(0, 3), slice(3, 6)), strict=True):
+    found = Elements.planes(point, point, covariance).deviation()
+    for bound, part in ((found.position, slice(0, 3)), (found.direction, slice(3, 6))):
         largest = torch.linalg.eigvalsh(covariance[:, part, part])[:, -1].sqrt()
         assert (bound >= largest * (1 - 1e-12)).all()
         assert (bound <= largest * math.sqrt(3) * (1 + 1e-12)).all()
@@ -77,17 +81,13 @@ def test_deviation_bounds_that_along_every_axis(rng):
 
 def listed(pairs: Pairs) -> list[list[tuple[int, int]]]:
     rows = zip(pairs.model.tolist(), pairs.measured.tolist(), pairs.valid.tolist(), strict=True)
-    return [
-        [(i, j) for i, j, valid in zip(*row, strict=True) if valid] for row in rows
-    ]
+    return [[(i, j) for i, j, valid in zip(*row, strict=True) if valid] for row in rows]
 
 
 def test_pairs_are_the_ones_of_every_matrix(rng):
     C = torch.rand(5, 3, 4, generator=rng) < 0.5
     C[2] = False
-    expected = [
-        [(i, j) for i in range(3) for j in range(4) if bool(C[b, i, j])] for b in range(5)
-    ]
+    expected = [[(i, j) for i in range(3) for j in range(4) if bool(C[b, i, j])] for b in range(5)]
     pairs = Pairs.of(C)
     assert listed(pairs) == expected
     assert pairs.model.shape[1] == max(map(len, expected))

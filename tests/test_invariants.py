@@ -130,7 +130,9 @@ def test_agreement_is_a_difference_of_less_than_gamma_deviations():
     model = Invariants.of(Elements.points(torch.stack([0 * far, far])).expand(1))
     for factor, expected in ((0.99, True), (1.01, False)):
         other = (1.0 + factor * GAMMA * sigma * 2**0.5) * far
-        measured = Invariants.of(Elements.points(torch.stack([0 * far, other]), covariance).expand(1))
+        measured = Invariants.of(
+            Elements.points(torch.stack([0 * far, other]), covariance).expand(1)
+        )
         assert bool(agreement(model, measured, 1, 2)[0, 0, 1]) is expected
 
 

@@ -28,7 +28,11 @@ SETS = {"PPP": 1, "PPE": 1, "PEE": 1, "EEE": 1, "LL": 2, "PL": 2, "LE": 1}
 
 
 def hypotheses(
-    model: Elements, measured: Elements, candidates: torch.Tensor, limit: int = 10_000, seed: int = 0
+    model: Elements,
+    measured: Elements,
+    candidates: torch.Tensor,
+    limit: int = 10_000,
+    seed: int = 0,
 ) -> Hypotheses:
     generator = torch.Generator().manual_seed(seed)
     return minimal_hypotheses(model, measured, candidates, limit=limit, generator=generator)

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 from drawn_elements import (
@@ -15,51 +17,56 @@ from torch.testing import assert_close
 
 from torchcal.match.elements import Elements, Kind
 from torchcal.match.minimal_sets import Hypotheses
-from torchcal.match.support import are_best, are_new, distinct, squared_errors
+from torchcal.match.support import are_best, are_new, distinct, explained, standard_errors
 
 WORD = "PPLLEE"
 
 
 def drawn(word: str, members: int, rng: torch.Generator, sigma: float = 0.01) -> Elements:
-    own = elements(
-        word, normal(members, len(word), 3, rng=rng), units(members, len(word), rng=rng)
-    )
+    own = elements(word, normal(members, len(word), 3, rng=rng), units(members, len(word), rng=rng))
     return with_covariance(own, covariances(members, len(word), rng=rng, sigma=sigma))
 
 
+def errors(poses_: Hypotheses, model: Elements, measured: Elements) -> torch.Tensor:
+    return standard_errors(poses_, model, measured, measured.deviation())
+
+
 def by_hand(own: Elements, i: int, other: Elements, j: int) -> float:
-    """Squared distance in deviations of the j-th measured from the i-th predicted element."""
-    if int(own.kind[i]) != int(other.kind[j]):
+    """How many deviations the j-th measured is away from the i-th predicted element."""
+    kind = int(own.kind[0, i])
+    if kind != int(other.kind[0, j]):
         return torch.inf
-    x, q, d, e = own.point[i], other.point[j], own.direction[i], other.direction[j]
+    x, q, d, e = own.point[0, i], other.point[0, j], own.direction[0, i], other.direction[0, j]
     bounds = [
-        float(other.covariance[j][part, part].abs().sum(1).max())
+        float(other.covariance[0, j][part, part].abs().sum(1).max())
         for part in (slice(0, 3), slice(3, 6))
     ]
     offset = q - x
-    if int(own.kind[i]) == Kind.POINT:
-        return float(offset @ offset) / bounds[0]
-    if int(own.kind[i]) == Kind.LINE:
+    if kind == Kind.POINT:
+        return math.sqrt(float(offset @ offset) / bounds[0])
+    if kind == Kind.LINE:
         off = offset - d * (d @ offset)
         chord = min(float((d - e).norm()), float((d + e).norm()))
     else:
         off = (d @ offset)[None]
         chord = float((d - e).norm())
-    return max(float(off @ off) / bounds[0], chord**2 / bounds[1])
+    return math.sqrt(max(float(off @ off) / bounds[0], chord**2 / bounds[1]))
 
 
 @pytest.mark.parametrize("word", ["PPP", WORD])
-def test_squared_errors_are_those_of_plain_loops(word, rng):
+def test_standard_errors_are_those_of_plain_loops(word, rng):
     model, measured = drawn(word, 3, rng), drawn(word[:-1], 3, rng)
     poses_ = Hypotheses(batch=torch.tensor([0, 0, 2, 2, 2]), T=poses(5, rng=rng))
-    found = squared_errors(poses_, model, measured)
+    found = errors(poses_, model, measured)
     assert found.shape == (5, len(word), len(word) - 1)
     for h, member in enumerate(poses_.batch.tolist()):
-        own, other = moved(poses_.T[h], model[member]), measured[member]
+        rows = slice(member, member + 1)
+        own, other = moved(poses_.T[h : h + 1], model[rows]), measured[rows]
         for i in range(len(word)):
             for j in range(len(word) - 1):
                 expected = by_hand(own, i, other, j)
-                assert float(found[h, i, j]) == pytest.approx(expected, rel=1e-7, abs=1e-9)
+                # Squares of some metres are subtracted: 1e-15 of them, in standard deviations.
+                assert float(found[h, i, j]) == pytest.approx(expected, rel=1e-7, abs=1e-4)
 
 
 def test_they_are_small_at_the_true_pose_and_large_elsewhere(rng):
@@ -67,39 +74,51 @@ def test_they_are_small_at_the_true_pose_and_large_elsewhere(rng):
     model = elements(WORD, normal(300, 6, 3, rng=rng), units(300, 6, rng=rng))
     exact = with_covariance(moved(T, model), covariances(300, 6, rng=rng))
     poses_ = Hypotheses(batch=torch.arange(300), T=T)
-    squared = squared_errors(poses_, model, noisy(exact, rng=rng))
-    own = squared.diagonal(dim1=1, dim2=2)
+    error = errors(poses_, model, noisy(exact, rng=rng))
+    own = error.diagonal(dim1=1, dim2=2)
     # 1800 elements of at most three components, in units that are not below a deviation.
-    assert float(own.max()) < 25.0
-    assert float(squared[:, 0, 1].median()) > 1e3
+    assert float(own.max()) < 5.0
+    assert float(error[:, 0, 1].median()) > 30.0
 
 
 def test_differences_are_taken_before_squares_far_from_the_origin(rng):
     model = Elements.points(torch.tensor([[[1000.0, 0, 0], [1000.0, 0.01, 0]]]))
     measured = Elements.points(model.point, torch.eye(3).expand(1, 2, 3, 3))
     poses_ = Hypotheses(batch=torch.zeros(1, dtype=torch.int64), T=torch.eye(4)[None])
-    expected = torch.tensor([[[0.0, 1e-4], [1e-4, 0.0]]])
-    assert_close(squared_errors(poses_, model, measured), expected, rtol=1e-5, atol=0)
+    expected = torch.tensor([[[0.0, 0.01], [0.01, 0.0]]])
+    assert_close(errors(poses_, model, measured), expected, rtol=1e-5, atol=0)
 
 
 def test_what_is_not_finite_is_infinitely_far_and_leaves_the_others(rng):
     model, measured = drawn(WORD, 2, rng), drawn(WORD, 2, rng)
     poses_ = Hypotheses(batch=torch.tensor([0, 1, 1]), T=poses(3, rng=rng))
-    expected = squared_errors(poses_, model, measured)
+    expected = errors(poses_, model, measured)
     measured.point[1, 3] = torch.nan
+    measured.direction[1, 4] = torch.nan
+    measured.covariance[1, 0] = torch.nan
     poses_.T[0, 0, 0] = torch.nan
-    found = squared_errors(poses_, model, measured)
-    expected[1:, :, 3] = torch.inf
+    found = errors(poses_, model, measured)
+    expected[1:, :, [0, 3, 4]] = torch.inf
     expected[0] = torch.inf
     assert_close(found, expected, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("word", ["PPP", WORD])
+def test_explained_are_the_pairs_within_the_gate(word, rng):
+    model, measured = (drawn(word, 3, rng, sigma=0.3) for _ in range(2))
+    measured.point[1, 0] = torch.nan
+    poses_ = Hypotheses(batch=torch.tensor([0, 0, 1, 2]), T=poses(4, rng=rng))
+    found = explained(poses_, model, measured, measured.deviation(), gate=2.5)
+    assert found.tolist() == (errors(poses_, model, measured) <= 2.5).tolist()
+    assert 0.02 < float(found.double().mean()) < 0.9
 
 
 def test_dtype_follows_the_elements_and_nothing_gives_nothing(rng):
     model, measured = single(drawn(WORD, 2, rng)), single(drawn(WORD, 2, rng))
     poses_ = Hypotheses(batch=torch.tensor([1]), T=poses(1, rng=rng).float())
-    assert squared_errors(poses_, model, measured).dtype == torch.float32
+    assert errors(poses_, model, measured).dtype == torch.float32
     none = poses_[torch.zeros(0, dtype=torch.int64)]
-    assert squared_errors(none, model, measured).shape == (0, 6, 6)
+    assert errors(none, model, measured).shape == (0, 6, 6)
 
 
 def test_distinct_counts_the_elements_of_the_side_that_has_fewer(rng):

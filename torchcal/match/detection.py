@@ -30,7 +30,7 @@ def every_candidate(
         cutoff: c of eq. 16.
     """
     near = error <= CORNER * cutoff[:, None, None]
-    return Pairs.of(candidates & near)
+    return Pairs.of(candidates & near & error.isfinite())
 
 
 def nearest_candidate(
@@ -45,8 +45,10 @@ def nearest_candidate(
         candidates: The matrix C of eq. 6.
         cutoff: c of eq. 16.
     """
+    if error.shape[2] == 0:
+        return Pairs.of(candidates)
     allowed = torch.where(candidates, error, torch.inf)
     distance, measured = allowed.min(-1)
     model = torch.arange(error.shape[1], device=error.device).expand_as(measured)
-    near = distance <= CORNER * cutoff[:, None]
+    near = (distance <= CORNER * cutoff[:, None]) & distance.isfinite()
     return Pairs(model=model, measured=measured, valid=near)

@@ -53,7 +53,7 @@ def standard_errors(
     error = distance / deviation.position[batch][:, None]
     if turn is not None:
         turned = turn / deviation.direction[batch][:, None]
-        error = torch.where(turn > 0, torch.maximum(error, turned), error)
+        error = torch.where(turn == 0, error, torch.maximum(error, turned))
     return error.nan_to_num(nan=torch.inf, posinf=torch.inf)
 
 
