@@ -29,7 +29,7 @@ NEAR, FAR = 2.0, 5.0
 
 
 def crossings_of(surface: Surface, projection: Projection) -> Crossings:
-    face = visible_faces(surface.vertices[None], surface.faces, projection)[0]
+    face = visible_faces(surface.vertices[None], surface.faces, projection)
     facets = Facets.of(surface.vertices, surface.faces)
     return find_crossings(surface.vertices, surface, facets, face, projection)
 

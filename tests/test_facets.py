@@ -37,8 +37,8 @@ def test_a_wall_across_the_axis_is_at_its_depth():
 def test_no_face_has_no_range_and_no_derivative(rng: torch.Generator):
     facets, ray, none = Facets.of(corners(rng), FACES), rays(rng, 2), torch.tensor([-1, -1])
     assert (facets.ranges(none, ray) == 0).all()
-    assert (facets.slopes(none, ray, ray.flip(0)) == 0).all()
-    assert (facets.twist_derivatives(none, ray) == 0).all()
+    assert (facets.at(none, ray).slopes(ray.flip(0)) == 0).all()
+    assert (facets.at(none, ray).twist_derivatives() == 0).all()
 
 
 def test_slopes_follow_the_rays(rng: torch.Generator):
@@ -46,7 +46,7 @@ def test_slopes_follow_the_rays(rng: torch.Generator):
     face = torch.tensor([0, 1])
     jacobian = torch.autograd.functional.jacobian(lambda r: facets.ranges(face, r), ray)
     expected = (jacobian * step).sum((-2, -1))
-    torch.testing.assert_close(facets.slopes(face, ray, step), expected)
+    torch.testing.assert_close(facets.at(face, ray).slopes(step), expected)
 
 
 def test_twist_derivatives_follow_the_face(rng: torch.Generator):
@@ -57,4 +57,5 @@ def test_twist_derivatives_follow_the_face(rng: torch.Generator):
         return Facets.of(vertices @ T[:3, :3].mT + T[:3, 3], FACES).ranges(face, ray)
 
     expected = torch.autograd.functional.jacobian(moved, torch.zeros(6, dtype=torch.float64))
-    torch.testing.assert_close(Facets.of(vertices, FACES).twist_derivatives(face, ray), expected)
+    hits = Facets.of(vertices, FACES).at(face, ray)
+    torch.testing.assert_close(hits.twist_derivatives().mT, expected)

@@ -26,9 +26,9 @@ SINGLE_PRECISION = 1e-4
 FLATNESS = 1e-4
 """m. A pixel whose corners lie this near to the plane that its centre shows, shows that plane."""
 
-SAMPLES, TURN = 233, 144
-"""Neighbours in the Fibonacci sequence: with them the lattice of sub-samples is almost square and
-turned, and no two of its points share a row or a column."""
+SAMPLES, TURN = 277, 60
+"""Sub-samples of a pixel, and how far in rows the next column's is: a square lattice of at least
+16 x 16 points (277 = 14^2 + 9^2), turned by 33 degrees; no two points share a row or a column."""
 
 RAYS_AT_ONCE = 1 << 20
 
@@ -113,6 +113,17 @@ def pixel_means(
     mean = np.where(flat & (face >= 0), gauss.mean(0), 0.0)
     share = np.where(flat & (face >= 0), 1.0, 0.0)
     for rows, columns in _chunks(~flat):
+        mean[rows, columns], share[rows, columns] = _sampled(scene, projection, columns, rows)
+    return mean, share
+
+
+def sampled_means(
+    scene: View, projection: Projection
+) -> tuple[Float[ndarray, "h w"], Float[ndarray, "h w"]]:
+    """The same as ``pixel_means`` with every pixel sampled: slow, and nothing can slip through."""
+    shape = projection.height, projection.width
+    mean, share = np.zeros(shape), np.zeros(shape)
+    for rows, columns in _chunks(np.ones(shape, bool)):
         mean[rows, columns], share[rows, columns] = _sampled(scene, projection, columns, rows)
     return mean, share
 

@@ -78,13 +78,16 @@ def build_scene(
     that is left over: every face is in three rows.
 
     Raises:
-        TorchcalError: If there is nothing to see.
+        TorchcalError: If there is nothing to see, or a mesh has no faces, or faces of vertices that
+            are not finite or not there.
     """
     bodies, meshes = _bodies(world, robot)
     if not meshes:
         raise TorchcalError(
             "found a model without triangles; expected a world or a robot with some"
         )
+    for body, mesh in zip(bodies, meshes, strict=True):
+        _check_mesh(body.name, mesh)
     welded = [_welded(mesh) for mesh in meshes]
     starts = np.cumsum([0, *(len(part.vertices) for part in welded)])
     faces = np.concatenate([part.faces + at for part, at in zip(welded, starts, strict=False)])
@@ -147,6 +150,17 @@ def _bodies(
         *(Body(name=f"robot/{link}", link=link) for link in links),
     )
     return bodies, [item.mesh for item in objects] + [meshes[link] for link in links]
+
+
+def _check_mesh(name: str, mesh: trimesh.Trimesh) -> None:
+    faces, count = np.asarray(mesh.faces), len(mesh.vertices)
+    if not len(faces):
+        raise TorchcalError(f"{name}: found a mesh with no faces; expected triangles")
+    if faces.min() < 0 or faces.max() >= count:
+        wrong = faces.min() if faces.min() < 0 else faces.max()
+        raise TorchcalError(f"{name}: found a face of vertex {wrong}; expected 0 to {count - 1}")
+    if not np.isfinite(mesh.vertices).all():
+        raise TorchcalError(f"{name}: found vertices that are not finite; expected metres")
 
 
 def _welded(mesh: trimesh.Trimesh) -> _Welded:

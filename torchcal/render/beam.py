@@ -1,6 +1,5 @@
 """The beam of eq. 17 and 18: the mean over a square of pixels."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
@@ -13,27 +12,26 @@ def box_sum(image: Float[Tensor, "*batch h w"], side: int) -> Float[Tensor, "*ba
         image: Any batch of images.
         side: Odd number of pixels (2N + 1).
     """
-    return _window_sum(_window_sum(image, side, -2), side, -1)
+    height, width = image.shape[-2:]
+    # A wider window holds the whole axis everywhere, too.
+    rows, columns = min(side, 2 * height - 1), min(side, 2 * width - 1)
+    padded = functional.pad(image, (columns // 2, columns // 2, rows // 2, rows // 2))
+    return _window_sum(_window_sum(padded, rows, -2), columns, -1)
 
 
-def _window_sum(image: Tensor, side: int, axis: int) -> Tensor:
-    """Sums over windows about each place of an axis, put together from sums over powers of two."""
-    size = image.shape[axis]
-    side = min(side, 2 * size - 1)  # a wider window holds the whole axis everywhere, too
-    half = side // 2
-    padding = (half, half) if axis == -1 else (0, 0, half, half)
-    part = functional.pad(image, padding)
-    total = torch.zeros_like(image)
-    width, start = 1, 0
-    while True:
-        if side & width:
-            total += part.narrow(axis, start, size)
-            start += width
-        if 2 * width > side:
-            return total
+def _window_sum(part: Tensor, side: int, axis: int) -> Tensor:
+    """Sums over all windows within an axis, put together from sums over powers of two."""
+    size = part.shape[axis] - side + 1
+    total = part.narrow(axis, 0, size)  # ``side`` is odd
+    width, start = 1, 1
+    while 2 * width <= side:
         length = part.shape[axis] - width
         part = part.narrow(axis, 0, length) + part.narrow(axis, width, length)
         width *= 2
+        if side & width:
+            total = total + part.narrow(axis, start, size)
+            start += width
+    return total
 
 
 def beam_area(height: int, width: int, side: int, like: Tensor) -> Float[Tensor, "h w"]:

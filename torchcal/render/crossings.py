@@ -23,8 +23,9 @@ ON_CENTRE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Crossings:
-    """Strips of pixels, between a silhouette and the pixel's border, of one view."""
+    """Strips of pixels, between a silhouette and the pixel's border."""
 
+    view: Int[Tensor, " crossing"]
     pixel: Int[Tensor, "crossing 2"]
     """The pixel (u, v) whose area is shared."""
     step: Int[Tensor, "crossing 2"]
@@ -70,19 +71,19 @@ def find_crossings(
     vertices: Float[Tensor, "vertex 3"],
     surface: Surface,
     facets: Facets,
-    face_image: Int[Tensor, "h w"],
+    face_image: Int[Tensor, "view h w"],
     projection: Projection,
 ) -> Crossings:
-    """The crossings of all silhouettes that are seen in one view.
+    """The crossings of all silhouettes that are seen in a batch of views.
 
     Args:
-        vertices: Points (m) in the sensor's frame.
-        surface: The triangles.
+        vertices: Points (m) in the sensor's frame of their view.
+        surface: The triangles of all views, see ``soup.py``.
         facets: Their planes.
         face_image: The face at the centre of every pixel.
         projection: The sensor's optics.
     """
-    cuts = find_cuts(vertices.detach(), surface, projection)
+    cuts = find_cuts(vertices.detach(), surface, projection, len(face_image))
     sides = _sides(cuts, vertices.detach(), surface, face_image, projection)
     whole, thin = _seen(cuts, sides, vertices.detach(), surface, facets, projection)
     front = _front_faces(cuts, sides, surface, facets, projection)
@@ -108,12 +109,13 @@ def _sides(
     high_side = (normal * projection.rays(*high.to(vertices).unbind(-1))).sum(-1)
     near_is_low = (own_side.sign() != high_side.sign())[:, None]
     near, far = torch.where(near_is_low, low, high), torch.where(near_is_low, high, low)
+    near_face = face_image[cuts.view, near[:, 1], near[:, 0]]
     return _Sides(
         near_pixel=near,
-        near_face=face_image[near[:, 1], near[:, 0]],
-        near_pixel_face=face_image[near[:, 1], near[:, 0]],
+        near_face=near_face,
+        near_pixel_face=near_face,
         far_pixel=far,
-        far_face=face_image[far[:, 1], far[:, 0]],
+        far_face=face_image[cuts.view, far[:, 1], far[:, 0]],
     )
 
 
@@ -162,7 +164,9 @@ def _outermost(cuts: Cuts, sides: _Sides, face_image: Tensor) -> Tensor:
     The near surface reaches as far as its last edge; the edges before it lie on or behind it.
     """
     gap = ((cuts.place - sides.near_pixel) * cuts.axis).sum(-1).abs()
-    near = sides.near_pixel[:, 1] * face_image.shape[1] + sides.near_pixel[:, 0]
+    height, width = face_image.shape[1:]
+    row = cuts.view * height + sides.near_pixel[:, 1]
+    near = row * width + sides.near_pixel[:, 0]
     forward = (sides.far_pixel - sides.near_pixel).sum(-1) > 0
     strip = 4 * near + 2 * cuts.along_u.long() + forward.long()
     order = torch.arange(len(gap), device=gap.device)
@@ -205,6 +209,7 @@ def _crossings(
     own_face = torch.where(in_near, sides.near_pixel_face, sides.far_face)
     reaching = torch.where(in_near & ~thin, sides.far_face, sides.near_face)
     return Crossings(
+        view=cuts.view,
         pixel=pixel,
         step=step,
         own_face=own_face,
@@ -227,7 +232,7 @@ def _without_slivers(
     pixel, own = crossings.pixel, crossings.own_face
     size = torch.tensor([projection.width, projection.height], device=pixel.device)
     back = torch.minimum((pixel - crossings.step).clamp(min=0), size - 1)
-    behind = face_image[back[:, 1], back[:, 0]]
+    behind = face_image[crossings.view, back[:, 1], back[:, 0]]
     offset = 0.5 * (crossings.gap.detach() - 0.5)[:, None]
     middle = _ranges_at(own, pixel + offset * crossings.step, facets, projection)
     centre = _ranges_at(own, pixel.to(middle), facets, projection)

@@ -15,6 +15,7 @@ from torchcal.render.silhouette import Pieces, silhouette_pieces
 class Cuts:
     """Silhouettes at rows (``along_u``) or columns of pixel centres."""
 
+    view: Int[Tensor, " cut"]
     edge: Int[Tensor, " cut"]
     apex: Int[Tensor, " cut"]
     """A vertex on the side of the edge on which the surface is."""
@@ -30,6 +31,7 @@ class Cuts:
     def select(self, keep: Bool[Tensor, " cut"]) -> "Cuts":
         """The cuts to keep."""
         return Cuts(
+            view=self.view[keep],
             edge=self.edge[keep],
             apex=self.apex[keep],
             place=self.place[keep],
@@ -55,13 +57,15 @@ class EdgePlanes:
 
 
 def find_cuts(
-    vertices: Float[Tensor, "vertex 3"], surface: Surface, projection: Projection
+    vertices: Float[Tensor, "vertex 3"], surface: Surface, projection: Projection, views: int
 ) -> Cuts:
-    """All cuts of one view between two pixel centres; vertices in the sensor's frame (m).
+    """All cuts between two pixel centres of one view; vertices in the sensor's frame (m).
 
-    A steep silhouette is cut with every row of pixel centres, a flat one with every column.
+    A steep silhouette is cut with every row of pixel centres, a flat one with every column. Each of
+    the ``views`` has the same number of edges of the surface.
     """
-    cuts = _cut(silhouette_pieces(vertices, surface, projection), projection)
+    edges_of_view = max(len(surface.edges) // max(views, 1), 1)
+    cuts = _cut(silhouette_pieces(vertices, surface, projection), projection, edges_of_view)
     # Onto the true edge, which is curved in a spherical image.
     place, _ = newton_step(cuts, EdgePlanes.of(cuts, vertices, surface).normal, projection)
     cuts = replace(cuts, place=place)
@@ -83,7 +87,7 @@ def newton_step(
     return cuts.place + ((normal * ray).sum(-1) * rate)[:, None] * cuts.axis, rate
 
 
-def _cut(pieces: Pieces, projection: Projection) -> Cuts:
+def _cut(pieces: Pieces, projection: Projection, edges_of_view: int) -> Cuts:
     """Cuts each piece with the rows or columns that it crosses; its lower end is left out."""
     delta = pieces.end - pieces.start
     along_u = delta[:, 1].abs() >= delta[:, 0].abs()
@@ -97,8 +101,10 @@ def _cut(pieces: Pieces, projection: Projection) -> Cuts:
     place = pieces.start[piece] + share[:, None] * delta[piece]
     along_u = along_u[piece]
     on_line = torch.stack([along_u, ~along_u], -1)
+    edge = pieces.edge[piece]
     return Cuts(
-        edge=pieces.edge[piece],
+        view=edge // edges_of_view,
+        edge=edge,
         apex=pieces.apex[piece],
         place=torch.where(on_line, place, line[:, None]),
         along_u=along_u,

@@ -1,6 +1,6 @@
 """Planes of faces: the range along a ray and its derivative, both closed forms."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -8,48 +8,77 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Facets:
-    """The planes ``normal . p = offset`` of all faces in the sensor's frame of one view."""
+class Hits:
+    """Where rays meet the planes of faces."""
 
-    normal: Float[Tensor, "face 3"]
-    """Not normalised."""
-    offset: Float[Tensor, " face"]
+    rays: Float[Tensor, "*#batch 3"]
+    normal: Float[Tensor, "*batch 3"]
+    """Not normalised; 0 where there is no face."""
+    scale: Float[Tensor, "*batch"]
+    """1 / (normal . ray); 0 where nothing is met."""
+    range: Float[Tensor, "*batch"]
+    """m; 0 where nothing is met."""
+
+    def between(self, near: float, far: float) -> "Hits":
+        """Those with ranges (m) within limits; at the others nothing is met."""
+        outside = (self.range.detach() < near) | (self.range.detach() > far)
+        return replace(
+            self,
+            scale=self.scale.masked_fill(outside, 0.0),
+            range=self.range.masked_fill(outside, 0.0),
+        )
+
+    def slopes(self, rays_step: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch"]:
+        """Derivative of the range when the rays move by ``rays_step``; 0 where nothing is met."""
+        return -self.range * dot(self.normal, rays_step) * self.scale
+
+    def twist_derivatives(self) -> Float[Tensor, "6 ..."]:
+        """Derivative of the range to the motion of the face: dz/dp = n / (n . ray).
+
+        The motion is a twist on the left, in the sensor's frame (m, rad); 0 where nothing is met.
+        """
+        x, y, z = (self.normal * self.scale[..., None]).unbind(-1)
+        u, v, w = (self.rays * self.range[..., None]).unbind(-1)
+        return torch.stack([x, y, z, v * z - w * y, w * x - u * z, u * y - v * x])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Facets:
+    """The planes ``normal . p = offset`` of all faces in the sensor's frame."""
+
+    normal: Float[Tensor, "plane 3"]
+    """Not normalised; the last one, of 0, stands for no face."""
+    offset: Float[Tensor, " plane"]
 
     @staticmethod
     def of(vertices: Float[Tensor, "vertex 3"], faces: Int[Tensor, "face 3"]) -> "Facets":
         """The planes of triangles whose corners are in the sensor's frame (m)."""
-        v0, v1, v2 = vertices[faces].unbind(1)
+        v0, v1, v2 = (vertices.index_select(0, corner) for corner in faces.unbind(1))
         normal = torch.linalg.cross(v1 - v0, v2 - v0)
-        return Facets(normal=normal, offset=(normal * v0).sum(-1))
+        offset = dot(normal, v0)
+        return Facets(
+            normal=torch.cat([normal, normal.new_zeros(1, 3)]),
+            offset=torch.cat([offset, offset.new_zeros(1)]),
+        )
+
+    def at(self, face: Int[Tensor, "*batch"], rays: Float[Tensor, "*#batch 3"]) -> Hits:
+        """Where rays meet the planes of their faces; nothing where ``face`` is -1."""
+        none = face < 0
+        index = face.masked_fill(none, len(self.offset) - 1).flatten()
+        normal = self.normal.index_select(0, index).view(*face.shape, 3)
+        along = dot(normal, rays).masked_fill(none, 1.0)
+        offset = self.offset.index_select(0, index).view(face.shape)
+        scale = along.reciprocal().masked_fill(none, 0.0)
+        return Hits(rays=rays, normal=normal, scale=scale, range=offset / along)
 
     def ranges(
-        self, face: Int[Tensor, "*batch"], rays: Float[Tensor, "*batch 3"]
+        self, face: Int[Tensor, "*batch"], rays: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch"]:
         """Range (m) at which rays meet the planes; 0 where ``face`` is -1."""
-        met = face >= 0
-        index = face.clamp(min=0)
-        t = self.offset[index] / (self.normal[index] * rays).sum(-1)
-        return torch.where(met, t, torch.zeros_like(t))
+        return self.at(face, rays).range
 
-    def slopes(
-        self,
-        face: Int[Tensor, "*batch"],
-        rays: Float[Tensor, "*batch 3"],
-        rays_step: Float[Tensor, "*batch 3"],
-    ) -> Float[Tensor, "*batch"]:
-        """Derivative of ``ranges`` when the rays move by ``rays_step``; 0 where ``face`` is -1."""
-        normal = self.normal[face.clamp(min=0)]
-        return -self.ranges(face, rays) * (normal * rays_step).sum(-1) / (normal * rays).sum(-1)
 
-    def twist_derivatives(
-        self, face: Int[Tensor, "*batch"], rays: Float[Tensor, "*batch 3"]
-    ) -> Float[Tensor, "*batch 6"]:
-        """Derivative of ``ranges`` to the motion of the face: dz/dp = n / (n . ray).
-
-        The motion is a twist on the left, in the sensor's frame (m, rad); 0 where ``face`` is -1.
-        """
-        normal = self.normal[face.clamp(min=0)]
-        per_metre = normal / (normal * rays).sum(-1, keepdim=True)
-        points = self.ranges(face, rays)[..., None] * rays
-        derivative = torch.cat([per_metre, torch.linalg.cross(points, per_metre)], -1)
-        return torch.where((face >= 0)[..., None], derivative, torch.zeros_like(derivative))
+def dot(a: Float[Tensor, "*#batch 3"], b: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch"]:
+    """Scalar products, added up in the same order whatever the batch is."""
+    (x, y, z), (u, v, w) = a.unbind(-1), b.unbind(-1)
+    return x * u + y * v + z * w

@@ -13,11 +13,15 @@ from torch import Tensor
 
 from torchcal.geometry.projection import Projection, Spherical
 from torchcal.model.scene import Surface
+from torchcal.render.facets import dot
 
 CLOSE = 1e-6
 """Edges are clipped at this depth (m) before a pinhole."""
 ARC = 8.0
 """Longest piece (pixels) of an edge that is taken as straight in a spherical image."""
+NEAREST = 0.05
+"""The chord between the directions of an edge's ends is not taken as nearer to the sensor than this
+(of 1): it bounds the pieces of an edge that all but touches the sensor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,20 +62,20 @@ def _reaches_image(start: Tensor, end: Tensor, projection: Projection) -> Tensor
 
 def _silhouettes(vertices: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
     """Silhouette edges and for each a vertex on its own side."""
-    apex = _apexes(surface)
-    first, last = vertices[surface.edges].unbind(1)
+    first, last = (vertices.index_select(0, end) for end in surface.edges.unbind(1))
     plane = torch.linalg.cross(first, last - first)
-    side = (plane[:, None] * vertices[apex.clamp(min=0)]).sum(-1).sign()
+    apexes, sides = zip(*(_beside(k, plane, vertices, surface) for k in (0, 1)), strict=True)
     border = surface.edge_faces[:, 1] < 0
-    edge = torch.nonzero(border | (side[:, 0] * side[:, 1] > 0))[:, 0]
-    return edge, apex[edge, 0]
+    edge = torch.nonzero(border | (sides[0] * sides[1] > 0))[:, 0]
+    return edge, apexes[0][edge]
 
 
-def _apexes(surface: Surface) -> Tensor:
-    """The corner opposite to each edge in its two faces; -1 where there is no second face."""
-    total = surface.faces[surface.edge_faces.clamp(min=0)].sum(-1)
-    apex = total - surface.edges.sum(-1, keepdim=True)
-    return torch.where(surface.edge_faces >= 0, apex, -1)
+def _beside(k: int, plane: Tensor, vertices: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+    """The corner opposite to each edge in its ``k``-th face; on which side of the edge it is."""
+    face = surface.faces.index_select(0, surface.edge_faces[:, k].clamp(min=0))
+    apex = face[:, 0] + face[:, 1] + face[:, 2] - surface.edges[:, 0] - surface.edges[:, 1]
+    apex = apex.where(surface.edge_faces[:, k] >= 0, surface.edges[:, 0])
+    return apex, dot(plane, vertices.index_select(0, apex)).sign()
 
 
 def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, Tensor]:
@@ -87,17 +91,18 @@ def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, T
 
 
 def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
-    """Edges cut into pieces of at most ``ARC`` pixels."""
+    """Edges cut into pieces of at most ``ARC`` pixels, by directions only: their length is free."""
     assert isinstance(projection, Spherical)
     step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
-    normalize = torch.nn.functional.normalize
-    angle = (normalize(first, dim=-1) - normalize(last, dim=-1)).norm(dim=-1)
-    # Equal lengths on the edge are unequal angles: twice the pieces keep the longest one short.
-    count = (2.0 * angle / (ARC * step)).nan_to_num().ceil().clamp(min=1).long()
+    a, b = (torch.nn.functional.normalize(end, dim=-1) for end in (first, last))
+    # Equal lengths on the chord are unequal angles: they are widest where it is nearest.
+    nearest = (0.5 * (a + b).norm(dim=-1)).clamp(min=NEAREST)
+    count = ((b - a).norm(dim=-1) / (nearest * ARC * step)).nan_to_num().ceil().clamp(min=1).long()
     piece = torch.repeat_interleave(count)
     order = torch.arange(len(piece), device=count.device) - (count.cumsum(0) - count)[piece]
-    share = (order / count[piece])[:, None].to(first)
-    width = (1.0 / count[piece])[:, None].to(first)
-    direction = (last - first)[piece]
-    begin = first[piece] + share * direction
-    return begin, begin + width * direction, piece
+
+    def place(order: Tensor) -> Tensor:
+        """On the chord; a piece ends, to the last bit, where the next one starts."""
+        return a[piece] + (order / count[piece])[:, None].to(a) * (b - a)[piece]
+
+    return place(order), place(order + 1), piece

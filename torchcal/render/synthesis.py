@@ -3,8 +3,7 @@
 The hard z-buffer says which face a pixel's centre meets, silhouettes shift the share of a pixel
 from one surface to the other, and the beam averages over its box. Range and derivative are closed
 forms of the visible faces' planes and edges, so automatic differentiation through the poses works
-as well. A pixel's mean is taken as the range in the middle of its parts: of the curvature of
-perspective it leaves out z'' / 24, with z'' the second difference from pixel to pixel.
+as well. What the range in a pixel's middle leaves out of its mean is z'' / 24.
 """
 
 from dataclasses import dataclass, replace
@@ -17,13 +16,20 @@ from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
+from torchcal.render.bends import with_bends
 from torchcal.render.crossings import find_crossings
 from torchcal.render.facets import Facets
-from torchcal.render.layer import BodyMotion, Layer, hard_layer, soften
+from torchcal.render.layer import Layer, hard_layer, soften
+from torchcal.render.mistakes import check_views
+from torchcal.render.motion import BodyMotion
+from torchcal.render.soup import in_soup, soup_of_views
 from torchcal.render.visibility import visible_faces
 
 MET = 1e-3
 """Share of the beam that must meet the model before its mean is a prediction."""
+
+AT_ONCE = 1 << 18
+"""Pixels and faces, of all views together, that are handled at a time if nobody says otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,6 +51,8 @@ def synthesise(
     Ts_sensor_body: Float[Tensor, "*batch body 4 4"],
     sensor: Sensor,
     motion: Float[Tensor, "*batch body 6 parameter"] | None = None,
+    *,
+    chunk: int | None = None,
 ) -> Synthesis:
     """Predicts range images by a soft z-buffer and the beam's box (eq. 17, 18).
 
@@ -54,27 +62,37 @@ def synthesise(
         sensor: Optics, limits and beam.
         motion: How each body moves with the unknown parameters: the twist (m, rad) in the sensor's
             frame, acting on the left of ``Ts_sensor_body``, per unit of each parameter.
+        chunk: Views that are handled at a time: it bounds the memory beside the result's own. If
+            left out it is chosen by the size of images and scene.
 
     Returns:
         Images with the batch of the poses; without ``motion`` there is no ``jacobian``.
+
+    Raises:
+        TorchcalError: If the mesh, the poses, the motion or the sensor are wrong.
     """
+    check_views(surface, Ts_sensor_body, sensor, motion)
     batch = Ts_sensor_body.shape[:-3]
     poses = Ts_sensor_body.reshape(-1, *Ts_sensor_body.shape[-3:])
-    motions = None if motion is None else motion.reshape(len(poses), *motion.shape[-3:])
+    chunk = chunk or _views_at_once(surface, sensor)
+    motions = [None] * len(poses)
+    if motion is not None:
+        motions = motion.reshape(len(poses), *motion.shape[-3:]).split(chunk)
     views = [
-        _synthesise_view(surface, T, sensor, None if motions is None else motions[i])
-        for i, T in enumerate(poses)
+        _synthesise_views(surface, part, sensor, moving)
+        for part, moving in zip(poses.split(chunk), motions, strict=False)
     ]
 
-    def stacked(name: str) -> Tensor:
-        images = torch.stack([getattr(view, name) for view in views])
-        return images.reshape(*batch, *images.shape[1:])
+    def together(name: str) -> Tensor:
+        images = [getattr(view, name) for view in views]
+        image = images[0] if len(images) == 1 else torch.cat(images)
+        return image.reshape(*batch, *image.shape[1:])
 
     return Synthesis(
-        range=stacked("range"),
-        coverage=stacked("coverage"),
-        face=stacked("face"),
-        jacobian=None if motion is None else stacked("jacobian"),
+        range=together("range"),
+        coverage=together("coverage"),
+        face=together("face"),
+        jacobian=None if motion is None else together("jacobian"),
     )
 
 
@@ -87,31 +105,38 @@ def place_vertices(
     return (T[..., :3, :3] @ points[:, :, None])[..., 0] + T[..., :3, 3]
 
 
-def _synthesise_view(
+def _views_at_once(surface: Surface, sensor: Sensor) -> int:
+    size = sensor.projection.height * sensor.projection.width + len(surface.faces)
+    return max(1, AT_ONCE // size)
+
+
+def _synthesise_views(
     surface: Surface, Ts_sensor_body: Tensor, sensor: Sensor, motion: Tensor | None
 ) -> Synthesis:
     vertices = place_vertices(surface, Ts_sensor_body)
-    facets = Facets.of(vertices, surface.faces)
     # Silhouettes just outside the image share its outermost pixels.
     projection = sensor.projection.widened(1) if sensor.beam > 0 else sensor.projection
-    face = visible_faces(vertices.detach()[None], surface.faces, projection)[0]
+    face = visible_faces(vertices, surface.faces, projection)
+    soup = soup_of_views(surface, *Ts_sensor_body.shape[:2])
+    vertices = vertices.flatten(0, 1)
+    facets = Facets.of(vertices, soup.faces)
     grid = pixel_grid(projection, dtype=vertices.dtype, device=vertices.device)
-    rays = projection.rays(*grid)
-    face = _within_limits(face, facets, rays, sensor)
-    moving = None if motion is None else BodyMotion.of(motion, surface)
-    layer = hard_layer(face, facets, rays, moving)
+    # Faces nearer or farther than the sensor measures give no return.
+    hits = facets.at(in_soup(face, len(surface.faces)), projection.rays(*grid)).between(
+        sensor.near, sensor.far
+    )
+    face = face.masked_fill(hits.scale == 0, -1)
+    soup_face = in_soup(face, len(surface.faces))
+    moving = None if motion is None else BodyMotion.of(motion, soup)
+    layer = hard = hard_layer(soup_face, hits, moving)
     if sensor.beam > 0:
-        crossings = find_crossings(vertices, surface, facets, face, projection)
-        layer = soften(layer, crossings, facets, projection, moving)
+        crossings = find_crossings(vertices, soup, facets, soup_face, projection)
+        layer = soften(hard, crossings, facets, projection, moving)
+        layer = with_bends(layer, hard, soup_face, facets, projection)
     rows, columns = _inside(projection, sensor.projection)
-    synthesis = _average(layer.crop(rows, columns), face[rows, columns], max(sensor.beam, 1))
+    layer, face = layer.crop(rows, columns), face[:, rows, columns]
+    synthesis = _average(layer, face, max(sensor.beam, 1))
     return synthesis if motion is not None else replace(synthesis, jacobian=None)
-
-
-def _within_limits(face: Tensor, facets: Facets, rays: Tensor, sensor: Sensor) -> Tensor:
-    """Faces nearer or farther than the sensor measures give no return."""
-    ranges = facets.ranges(face, rays).detach()
-    return torch.where((ranges >= sensor.near) & (ranges <= sensor.far), face, -1)
 
 
 def _inside(wide: Projection, narrow: Projection) -> tuple[slice, slice]:
@@ -123,16 +148,18 @@ def _inside(wide: Projection, narrow: Projection) -> tuple[slice, slice]:
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:
     """Eq. 17 and 18: the mean over the part of the box inside the image that has a return."""
     total, area = box_sum(layer.total, beam), box_sum(layer.area, beam)
-    height, width = face.shape
+    height, width = face.shape[1:]
     inside = beam_area(height, width, beam, total)
     met = area > MET * inside
     safe = torch.where(met, area, torch.ones_like(area))
     ranges = total / safe
+    share = torch.where(met, safe.reciprocal(), 0.0).detach()[:, None]
     change = box_sum(layer.total_derivative, beam)
-    change = change - ranges.detach() * box_sum(layer.area_derivative, beam)
+    if layer.area_derivative is not None:
+        change = change - ranges.detach()[:, None] * box_sum(layer.area_derivative, beam)
     return Synthesis(
         range=torch.where(met, ranges, torch.nan),
         coverage=(area / inside).clamp(0, 1),
         face=face,
-        jacobian=torch.where(met, change / safe, torch.zeros_like(change)).movedim(0, -1),
+        jacobian=(share * change).movedim(1, -1),
     )
