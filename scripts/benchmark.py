@@ -1,10 +1,11 @@
 """Measure torchcal beside other programs; each measurement writes its section of benchmarks.md."""
 
 import tyro
-from benchmarks import solver
+from benchmarks import render, solver
 
 COMMANDS = {
     "solver": solver.measure,
+    "render": render.measure,
 }
 
 

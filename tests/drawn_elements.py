@@ -5,6 +5,7 @@ from torch import Tensor
 
 from torchcal.geometry import se3
 from torchcal.match.elements import Elements, Kind
+from torchcal.match.minimal_sets import Hypotheses, minimal_hypotheses
 from torchcal.match.pairs import Pairs
 from torchcal.match.residuals import PairResiduals, Whitening
 
@@ -119,3 +120,14 @@ def residuals_of(model: Elements, measured: Elements, candidates: Tensor) -> Pai
 
 def retract(T: Tensor, step: Tensor) -> Tensor:
     return T @ se3.exp(step)
+
+
+def hypotheses(
+    model: Elements,
+    measured: Elements,
+    candidates: torch.Tensor,
+    limit: int = 10_000,
+    seed: int = 0,
+) -> Hypotheses:
+    generator = torch.Generator().manual_seed(seed)
+    return minimal_hypotheses(model, measured, candidates, limit=limit, generator=generator)

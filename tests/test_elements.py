@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import torch
 from drawn_elements import covariances, normal, units, well_placed
@@ -59,24 +57,42 @@ def test_members_are_chosen_repeated_and_flattened(rng):
     alone = Elements.points(normal(5, 3, rng=rng)).expand(7)
     assert alone.kind.shape == (7, 5)
     assert alone.flattened().covariance.shape == (7, 5, 6, 6)
+    assert Elements.points(normal(5, 3, rng=rng)).flattened().point.shape == (1, 5, 3)
+    assert Elements.points(normal(2, 3, 0, 3, rng=rng)).flattened().kind.shape == (6, 0)
 
 
-def test_deviation_is_that_of_the_axes_without_correlation():
-    covariance = torch.diag(torch.tensor([1.0, 4.0, 9.0, 0.04, 0.01, 0.01], dtype=torch.float64))
-    point = torch.zeros(1, 3, dtype=torch.float64)
-    found = Elements.lines(point, point + 1, covariance[None]).deviation()
-    assert found.position.tolist() == [3.0]
-    assert found.direction.tolist() == pytest.approx([0.2])
+def test_deviation_is_that_of_the_axes_across(rng):
+    covariance = torch.diag(torch.tensor([1.0, 4.0, 9.0, 0.04, 0.01, 0.09], dtype=torch.float64))
+    point, x, z = normal(1, 3, rng=rng), torch.zeros(1, 3).double(), torch.zeros(1, 3).double()
+    x[0, 0] = z[0, 2] = 1.0
+    kinds = [
+        (Elements.points(point, covariance[None, :3, :3]), 3.0, 0.0),
+        (Elements.lines(point, z, covariance[None]), 2.0, 0.2),
+        (Elements.planes(point, z, covariance[None]), 3.0, 0.2),
+        (Elements.planes(point, x, covariance[None]), 1.0, 0.3),
+    ]
+    for elements, position, direction in kinds:
+        assert float(elements.deviation().position) == pytest.approx(position)
+        assert float(elements.deviation().direction) == pytest.approx(direction)
 
 
-def test_deviation_bounds_that_along_every_axis(rng):
-    covariance = covariances(200, rng=rng, sigma=1.0)
-    point = normal(200, 3, rng=rng)
-    found = Elements.planes(point, point, covariance).deviation()
-    for bound, part in ((found.position, slice(0, 3)), (found.direction, slice(3, 6))):
-        largest = torch.linalg.eigvalsh(covariance[:, part, part])[:, -1].sqrt()
-        assert (bound >= largest * (1 - 1e-12)).all()
-        assert (bound <= largest * math.sqrt(3) * (1 + 1e-12)).all()
+def test_deviation_is_the_largest_over_a_ring_of_axes(rng):
+    covariance = covariances(20, rng=rng, sigma=1.0)
+    d = torch.nn.functional.normalize(normal(20, 3, rng=rng), dim=-1)
+    ring = normal(20, 4000, 3, rng=rng)
+    across = torch.nn.functional.normalize(ring - (ring @ d[..., None]) * d[:, None], dim=-1)
+    found = Elements.lines(d, d, covariance).deviation()
+    for value, part in ((found.position, slice(0, 3)), (found.direction, slice(3, 6))):
+        along = ((across @ covariance[:, part, part]) * across).sum(-1).sqrt().amax(1)
+        assert_close(value, along, rtol=1e-4, atol=0)
+
+
+def test_deviation_without_a_covariance_is_nan_for_that_element_alone():
+    covariance = torch.eye(3, dtype=torch.float64).repeat(2, 1, 1)
+    covariance[0, 1, 1] = torch.nan
+    found = Elements.points(torch.zeros(2, 3).double(), covariance).deviation().position
+    assert found[0].isnan()
+    assert found[1] == 1.0
 
 
 def listed(pairs: Pairs) -> list[list[tuple[int, int]]]:

@@ -141,8 +141,8 @@ def test_noise_of_one_sigma_loses_nothing(rng):
     exact = with_covariance(moved(poses(400, rng=rng), own), covariances(400, len(WORD), rng=rng))
     found = agreement(Invariants.of(own), Invariants.of(noisy(exact, rng=rng)), 400, len(WORD))
     lines = (own.kind == Kind.LINE)[..., None]
-    # Lines at less than 17 degrees may meet far from both points; poses do not rest on them alone.
-    skewed = (sines(own) > 0.3) | ~(lines & lines.mT)
+    # Next to PARALLEL the two sets may be on different sides; no pose rests on such lines.
+    skewed = (sines(own) > 0.15) | ~(lines & lines.mT)
     assert found[skewed].all()
 
 

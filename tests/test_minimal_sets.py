@@ -3,16 +3,13 @@ import itertools
 import pytest
 import torch
 from drawn_elements import (
-    OBLIQUE,
     covariances,
-    elements,
+    hypotheses,
     moved,
     noisy,
-    normal,
     one_to_one,
     poses,
     single,
-    units,
     well_placed,
     with_covariance,
 )
@@ -20,22 +17,10 @@ from torch.testing import assert_close
 
 from torchcal.geometry import se3
 from torchcal.match.elements import Elements
-from torchcal.match.minimal_sets import Hypotheses, minimal_hypotheses
-from torchcal.match.random_starts import random_starts
+from torchcal.match.minimal_sets import Hypotheses
 
 SETS = {"PPP": 1, "PPE": 1, "PEE": 1, "EEE": 1, "LL": 2, "PL": 2, "LE": 1}
 """How many poses each combination has: lines fix a turn by half about their normal only."""
-
-
-def hypotheses(
-    model: Elements,
-    measured: Elements,
-    candidates: torch.Tensor,
-    limit: int = 10_000,
-    seed: int = 0,
-) -> Hypotheses:
-    generator = torch.Generator().manual_seed(seed)
-    return minimal_hypotheses(model, measured, candidates, limit=limit, generator=generator)
 
 
 def nearest(found: Hypotheses, T: torch.Tensor) -> torch.Tensor:
@@ -78,36 +63,6 @@ def test_noise_of_one_sigma_loses_no_set_and_keeps_it_near_the_truth(word, rng):
     # Five sigma at levers of some metres, at angles where noise counts three times.
     assert float(nearest(found, T).max()) < 0.5
     assert float(nearest(found, T).median()) < 0.05
-
-
-X, Y, Z = torch.eye(3, dtype=torch.float64)
-O = torch.zeros(3, dtype=torch.float64)
-DEGENERATE = {
-    "collinear points": ("PPP", [O, X, 3 * X], [O, O, O]),
-    "points in one place": ("PPP", [X, X, Y], [O, O, O]),
-    "parallel lines": ("LL", [O, Y], [X, -X]),
-    "a point on the line": ("PL", [2 * X, O], [O, X]),
-    "a line in the plane": ("LE", [O, Y], [X, Z]),
-    "a line across the plane": ("LE", [O, Y], [Z, Z]),
-    "points above one another": ("PPE", [O, Z, X], [O, O, Z]),
-    "a point and parallel planes": ("PEE", [O, X, Y], [O, Z, Z]),
-    "two parallel planes": ("EEE", [O, X, Y], [Z, Z, X]),
-    "opposite planes": ("EEE", [O, X, Y], [Z, -Z, X]),
-    "planes along one axis": ("EEE", [O, X, Y], [X, Y, X + Y]),
-}
-
-
-@pytest.mark.parametrize("name", DEGENERATE)
-def test_degenerate_sets_give_no_hypothesis(name, rng):
-    word, point, direction = DEGENERATE[name]
-    own = elements(word, torch.stack(point)[None], torch.stack(direction)[None]).expand(50)
-    own = own.flattened()
-    exact = moved(poses(50, rng=rng), own)
-    assert len(hypotheses(own, exact, one_to_one(50, len(word))).T) == 0
-    tilted = noisy(with_covariance(exact, 1e-6 * torch.eye(6, dtype=torch.float64)), rng=rng)
-    found = hypotheses(own, tilted, one_to_one(50, len(word)))
-    assert found.T.isfinite().all()
-    assert len(found.T) == 0
 
 
 def cube() -> torch.Tensor:
@@ -230,7 +185,7 @@ def test_a_sample_holds_at_most_the_limit_of_each_member(rng):
     every = hypotheses(model, measured, C, limit=100_000)
     some = hypotheses(model, measured, C, limit=60)
     counts = every.batch.bincount(minlength=3)
-    assert int(counts[0]) > 60 > 56 >= int(counts[1]) > 0
+    assert int(counts[0]) > 60 > int(counts[1]) > 0
     assert_close(some.batch.bincount(minlength=3), counts.clamp(max=60))
     # Products of matrices of another number of sets round in another way.
     assert_close(some.T[some.batch == 1], every.T[every.batch == 1], rtol=0, atol=1e-12)
@@ -243,12 +198,12 @@ def test_a_sample_follows_its_generator_and_is_even(rng):
     C = one_to_one(1, 8)
     measured = noisy(with_covariance(model, 1e-8 * torch.eye(6, dtype=torch.float64)), rng=rng)
     every = hypotheses(model, measured, C).T
-    seen = torch.zeros(len(every))
-    for seed in range(200):
-        found = hypotheses(model, measured, C, limit=14, seed=seed).T
-        seen += ((every[:, None] - found).abs() < 1e-12).flatten(2).all(2).any(1)
+    draws = [hypotheses(model, measured, C, limit=14, seed=seed).T for seed in range(200)]
     again = hypotheses(model, measured, C, limit=14, seed=199).T
-    assert_close(again, found, rtol=0, atol=0)
+    assert_close(again, draws[199], rtol=0, atol=0)
+    seen = torch.zeros(len(every))
+    for found in draws:
+        seen += ((every[:, None] - found).abs() < 1e-12).flatten(2).all(2).any(1)
     # 200 draws of 14 out of 56: 50 each, with a deviation of 6.1; five of them.
     assert len(every) == 56
     assert int(seen.min()) >= 20
@@ -284,6 +239,16 @@ def test_dtype_follows_the_elements(word, rng):
     assert float(nearest(found, T.float()).max()) < 1e-4
 
 
+def test_the_default_dtype_of_torch_does_not_matter(rng):
+    model = single(well_placed("LL", 2, rng=rng))
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert hypotheses(model, model, one_to_one(2, 2)).T.dtype == torch.float32
+    finally:
+        torch.set_default_dtype(before)
+
+
 def test_joined_hypotheses_are_in_the_order_of_the_members(rng):
     T = poses(5, rng=rng)
     one = Hypotheses(batch=torch.tensor([0, 2, 2]), T=T[:3])
@@ -292,21 +257,3 @@ def test_joined_hypotheses_are_in_the_order_of_the_members(rng):
     assert found.batch.tolist() == [0, 0, 1, 2, 2]
     assert_close(found.T, T[[0, 3, 4, 1, 2]], rtol=0, atol=0)
     assert found[torch.tensor([2])].batch.tolist() == [1]
-
-
-def test_random_starts_carry_a_point_onto_a_measured_one_with_any_rotation(rng):
-    model = elements("PLE", normal(2, 3, 3, rng=rng), OBLIQUE.expand(2, 3, 3))
-    measured = elements("EPLP", normal(2, 4, 3, rng=rng), units(2, 4, rng=rng))
-    found = random_starts(model, measured, 2000, generator=rng)
-    assert_close(found.batch, torch.arange(2).repeat_interleave(2000))
-    p, q = se3.transform(found.T, model.point[found.batch]), measured.point[found.batch]
-    met = torch.cdist(p, q) < 1e-9
-    assert met.flatten(1).any(1).all()
-    # Each of 12 pairs is drawn 333 times of 4000; 5 deviations are 90.
-    assert int(met.sum(0).min()) > 240
-    R = found.T[:, :3, :3]
-    eye = torch.eye(3, dtype=torch.float64)
-    assert_close(R @ R.mT, eye.expand_as(R), rtol=0, atol=1e-12)
-    # Entries of a uniform rotation have mean 0 and variance 1/3.
-    assert_close(R.mean(0), torch.zeros_like(eye), rtol=0, atol=0.05)
-    assert_close(R.square().mean(0), torch.full_like(eye, 1 / 3), rtol=0, atol=0.03)

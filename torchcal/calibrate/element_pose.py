@@ -226,6 +226,11 @@ def _check(model: Elements, measured: Elements, candidates: Tensor) -> None:
             f"candidates have the shape {found} (model, measured) for {expected[0]} elements of "
             f"the model and {expected[1]} measured ones"
         )
+    if 0 in expected:
+        raise ValueError(
+            f"{expected[0]} elements of the model and {expected[1]} measured ones; "
+            "there must be one of each at least"
+        )
     if candidates.dtype != torch.bool:
         raise ValueError(f"candidates are {candidates.dtype}; the matrix C must be torch.bool")
     if model.point.dtype != measured.point.dtype:

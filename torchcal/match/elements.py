@@ -21,7 +21,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Deviation:
-    """Standard deviations of elements, at least those along any axis."""
+    """The largest standard deviations of elements, of lines and planes across them."""
 
     position: Float[Tensor, "*batch element"]
     """m"""
@@ -91,7 +91,8 @@ class Elements:
     def flattened(self) -> "Elements":
         """With one batch axis."""
         own = self.kind.ndim - 1
-        return self._map(lambda values: values.reshape(-1, *values.shape[own:]))
+        members = self.kind.shape[:own].numel()
+        return self._map(lambda values: values.reshape(members, *values.shape[own:]))
 
     def to(self, device: str | torch.device) -> "Elements":
         """On another device."""
@@ -120,11 +121,18 @@ class Elements:
         return bool((self.kind != Kind.POINT).any())
 
     def deviation(self) -> Deviation:
-        """Bounds of the standard deviations along any axis."""
-        return Deviation(
-            position=_bound(self.covariance[..., :3, :3]),
-            direction=_bound(self.covariance[..., 3:, 3:]),
-        )
+        """The largest standard deviations along the axes that count for the kind."""
+        position, direction = self.covariance[..., :3, :3], self.covariance[..., 3:, 3:]
+        if self.directed:
+            along = self.direction[..., :, None] * self.direction[..., None, :]
+            eye = torch.eye(3, dtype=along.dtype, device=along.device)
+            is_plane = (self.kind == Kind.PLANE)[..., None, None]
+            counted = torch.where(is_plane, along, eye - along)
+            position, direction = (
+                counted @ position @ counted,
+                (eye - along) @ direction @ (eye - along),
+            )
+        return Deviation(position=_largest(position), direction=_largest(direction))
 
 
 def _directed(kind: Kind, point: Tensor, direction: Tensor, covariance: Tensor | None) -> Elements:
@@ -140,6 +148,9 @@ def _exact(point: Tensor) -> Tensor:
     return torch.zeros(*point.shape[:-1], 6, 6, dtype=point.dtype, device=point.device)
 
 
-def _bound(covariance: Tensor) -> Tensor:
-    """The largest row sum bounds the largest eigenvalue and is equal to it without correlation."""
-    return covariance.abs().sum(-1).amax(-1).sqrt()
+def _largest(covariance: Tensor) -> Tensor:
+    """Along the axis where it is largest; NaN where a covariance is not finite."""
+    finite = covariance.isfinite().all(-1).all(-1)
+    safe = torch.where(finite[..., None, None], covariance, 0.0)
+    deviation = torch.linalg.eigvalsh(safe)[..., -1].clamp(min=0.0).sqrt()
+    return torch.where(finite, deviation, torch.nan)

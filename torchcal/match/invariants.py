@@ -37,7 +37,8 @@ class Invariants:
         angle = torch.zeros_like(distance)
         if elements.directed:
             # A direction that is off by a little moves what is far from its point by much.
-            position_variance = position_variance + direction_variance * distance.square()
+            lever = _levers(elements, one, two, distance)
+            position_variance = position_variance + direction_variance * lever.square()
             angle = _angles(elements, one, two)
             distance = _distances(elements, one, two, offset, distance)
         return Invariants(
@@ -91,6 +92,14 @@ def _within(difference: Tensor, variance: Tensor, other_variance: Tensor) -> Ten
 
 def _sum_of_squares(sigma: Tensor) -> Tensor:
     return sigma[..., :, None].square() + sigma[..., None, :].square()
+
+
+def _levers(elements: Elements, one: Tensor, two: Tensor, points: Tensor) -> Tensor:
+    """How much a turn moves a distance: lines at a small angle meet far from their points."""
+    a, b = elements.direction[..., :, None, :], elements.direction[..., None, :, :]
+    sine = torch.linalg.cross(*torch.broadcast_tensors(a, b)).norm(dim=-1)
+    lines = (one == Kind.LINE) & (two == Kind.LINE)
+    return torch.where(lines, points / sine.clamp(min=PARALLEL), points)
 
 
 def _angles(elements: Elements, one: Tensor, two: Tensor) -> Tensor:

@@ -18,9 +18,7 @@ from torchcal.match.pairs import Pairs
 
 P, L, E = Kind.POINT.value, Kind.LINE.value, Kind.PLANE.value
 TWO = ((P, L), (L, L), (L, E))
-"""Kinds, in ascending order, of which two pairs determine a pose."""
-THREE = ((P, P, P), (P, P, E), (P, E, E), (E, E, E))
-"""Kinds of which three pairs do."""
+"""Kinds, in ascending order, of which two pairs determine a pose; without lines three do."""
 AGREEMENT = 0.1
 """Most that the cosine between the two directions of a hypothesis may differ (lines only agree up
 to their sign before)."""
@@ -138,7 +136,7 @@ def _solve(model: Elements, measured: Elements, pairs: Pairs, sets: Tensor) -> H
         one, two = _two_directions(kind, p, d), _two_directions(kind, q, e)
         T = _pose(kind, one, two, p, q, e)
         is_choice = ((kind == L) | (sign > 0)).all(1)  # only lines may be turned
-        keep = is_choice & _is_determined(one, two) & T.isfinite().all(-1).all(-1)
+        keep = is_choice & _is_determined(one, two, kind) & T.isfinite().all(-1).all(-1)
         found.append(Hypotheses(batch=batch[keep], T=T[keep]))
     return Hypotheses.join(*found)
 
@@ -146,8 +144,7 @@ def _solve(model: Elements, measured: Elements, pairs: Pairs, sets: Tensor) -> H
 def _signs(kind: Tensor) -> Tensor:
     """Every choice of the senses of the lines in any of the sets, ``(choice, member)``."""
     may_turn = (kind == L).any(0)
-    one = kind.new_tensor([1.0], dtype=torch.get_default_dtype())
-    both = torch.cat([one, -one])
+    one, both = kind.new_tensor([1]), kind.new_tensor([1, -1])
     return torch.cartesian_prod(*[both if turn else one for turn in may_turn.tolist()]).view(
         -1, kind.shape[1]
     )
@@ -188,10 +185,11 @@ def _pose(kind: Tensor, one: Tensor, two: Tensor, p: Tensor, q: Tensor, e: Tenso
     return se3.from_rotation_translation(R, t)
 
 
-def _is_determined(one: Tensor, two: Tensor) -> Tensor:
-    """Whether the directions are neither parallel nor at different angles in the two frames."""
+def _is_determined(one: Tensor, two: Tensor, kind: Tensor) -> Tensor:
+    """Whether the directions are not parallel, and those of lines at one angle in both frames."""
     sine = torch.linalg.cross(one[:, 0], one[:, 1]).norm(dim=-1)
     size = one.norm(dim=-1).prod(-1)
     cosine = (one[:, 0] * one[:, 1]).sum(-1) / size
     other = (two[:, 0] * two[:, 1]).sum(-1) / two.norm(dim=-1).prod(-1)
-    return (sine > PARALLEL * size) & ((cosine - other).abs() < AGREEMENT)
+    same_sense = (cosine - other).abs() < AGREEMENT
+    return (sine > PARALLEL * size) & (same_sense | kind.ne(L).all(-1))
