@@ -5,6 +5,7 @@ correspondences (oracle) and from the noise (Cramer-Rao), and with the paper.
 """
 
 import json
+import os
 import resource
 import sys
 import time
@@ -152,12 +153,29 @@ def run(options: Options) -> dict[str, object]:
     }
 
 
+def mistake(options: Options) -> str | None:
+    """What is wrong with the options, before anything is computed."""
+    if options.trials < 1 or options.restarts < 0:
+        return f"--trials {options.trials} --restarts {options.restarts}: at least 1 and 0"
+    try:
+        torch.zeros(1, device=options.device)
+    except (RuntimeError, AssertionError) as error:
+        return f"--device {options.device}: {str(error).splitlines()[0]}"
+    file = options.json
+    if file is not None and (file.is_dir() or not os.access(file.absolute().parent, os.W_OK)):
+        return f"--json {file}: not a file in a folder that can be written to"
+    return None
+
+
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
-    text = json.dumps(run(options), indent=2)
+    wrong = mistake(options)
+    if wrong is not None:
+        sys.exit(wrong)
+    text = json.dumps(run(options), indent=2) + "\n"
+    sys.stdout.write(text)
     if options.json is not None:
-        options.json.write_text(text + "\n")
-    sys.stdout.write(text + "\n")
+        options.json.write_text(text)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,14 @@ from torch.testing import assert_close
 
 from torchcal.match.elements import Elements, Kind
 from torchcal.match.minimal_sets import Hypotheses
-from torchcal.match.support import are_best, are_new, distinct, explained, standard_errors
+from torchcal.match.support import (
+    are_best,
+    are_new,
+    distinct,
+    explained,
+    fingerprints,
+    standard_errors,
+)
 
 WORD = "PPLLEE"
 
@@ -134,6 +141,23 @@ def test_distinct_counts_the_elements_of_the_side_that_has_fewer(rng):
     assert distinct(torch.zeros(3, 0, 7, dtype=torch.bool)).tolist() == [0, 0, 0]
 
 
+def prints(batch: torch.Tensor, pairs: torch.Tensor) -> torch.Tensor:
+    """Fingerprints of poses of points."""
+    members = int(batch.max()) + 1 if len(batch) else 1
+    own, others = (Elements.points(torch.zeros(members, n, 3)) for n in pairs.shape[1:])
+    poses_ = Hypotheses(batch=batch, T=torch.eye(4).expand(len(batch), 4, 4))
+    return fingerprints(poses_, own, others, pairs)
+
+
+def test_the_same_pairs_with_a_line_turned_are_another_pose():
+    z = torch.tensor([[[0.0, 0.0, 1.0]]])
+    lines = Elements.lines(torch.zeros(1, 1, 3), z)
+    turns = torch.stack([torch.eye(4), torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))])
+    poses_ = Hypotheses(batch=torch.zeros(2, dtype=torch.int64), T=turns)
+    found = fingerprints(poses_, lines, lines, torch.ones(2, 1, 1, dtype=torch.bool))
+    assert found[0] != found[1]
+
+
 def test_new_are_the_first_of_each_member_with_the_same_pairs(rng):
     pairs = torch.rand(300, 2, 3, generator=rng) < 0.4
     batch = torch.arange(300) // 75
@@ -141,13 +165,14 @@ def test_new_are_the_first_of_each_member_with_the_same_pairs(rng):
     for member, row in zip(batch.tolist(), pairs.flatten(1).tolist(), strict=True):
         expected.append((member, *row) not in seen)
         seen.add((member, *row))
-    assert are_new(batch, pairs).tolist() == expected
+    assert are_new(batch, prints(batch, pairs)).tolist() == expected
     assert 0.1 < sum(expected) / 300 < 0.9
 
 
 def test_new_does_not_need_the_order_of_the_members():
     pairs = torch.tensor([[[True]], [[True]], [[False]], [[True]]])
-    assert are_new(torch.tensor([1, 0, 1, 1]), pairs).tolist() == [True, True, True, False]
+    batch = torch.tensor([1, 0, 1, 1])
+    assert are_new(batch, prints(batch, pairs)).tolist() == [True, True, True, False]
 
 
 def test_best_are_all_with_the_highest_score_of_their_member(rng):
@@ -162,5 +187,5 @@ def test_best_are_all_with_the_highest_score_of_their_member(rng):
 
 def test_no_hypotheses_are_neither_new_nor_best():
     none = torch.zeros(0, dtype=torch.int64)
-    assert are_new(none, torch.zeros(0, 2, 3, dtype=torch.bool)).shape == (0,)
+    assert are_new(none, prints(none, torch.zeros(0, 2, 3, dtype=torch.bool))).shape == (0,)
     assert are_best(none, none, 4).shape == (0,)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 from torchcal.calibrate import calibrate as calibrate
 from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
-from torchcal.calibrate.element_pose import ElementSearch as ElementSearch
 from torchcal.calibrate.element_pose import find_element_poses as find_element_poses
 from torchcal.calibrate.element_result import ElementPoses as ElementPoses
 from torchcal.calibrate.element_result import ElementStatus as ElementStatus
+from torchcal.calibrate.element_search import ElementSearch as ElementSearch
 from torchcal.calibrate.result import Calibration as Calibration
 from torchcal.calibrate.result import Estimate as Estimate
 from torchcal.calibrate.result import FrameComparison as FrameComparison

@@ -94,8 +94,8 @@ def measure(
         versions=versions("open3d", "scipy"),
     )
     body = "\n".join([about, *tables])
-    write_section(out, "solver", body)
     print(body)
+    write_section(out, "solver", body)
 
 
 def _open3d(parts: list[slice]) -> list[Program]:

@@ -38,13 +38,21 @@ class ElementProblem:
     def of(
         model: Elements, measured: Elements, candidates: Bool[Tensor, "batch model measured"]
     ) -> "ElementProblem":
-        """With the noise's axes and roots worked out."""
+        """With the noise's axes and roots worked out.
+
+        Measured elements whose covariance is not definite count as not measured.
+        """
+        whitening, deviation = Whitening.of(measured), measured.deviation()
+        definite = whitening.root.isfinite().all(-1).all(-1)
         return ElementProblem(
             model=model,
             measured=measured,
-            deviation=measured.deviation(),
-            whitening=Whitening.of(measured),
-            candidates=candidates,
+            deviation=Deviation(
+                position=torch.where(definite, deviation.position, torch.nan),
+                direction=torch.where(definite, deviation.direction, torch.nan),
+            ),
+            whitening=whitening,
+            candidates=candidates & definite[:, None],
         )
 
     def rows(self, chosen: Int[Tensor, " member"]) -> "ElementProblem":
@@ -134,6 +142,8 @@ class Correspondences:
     pairs: Pairs
     weights: Float[Tensor, "hypothesis pair component"]
     """Biweights after eq. 15; 0 for correspondences that were found wrong, and for padding."""
+    explained: Bool[Tensor, "hypothesis pair"]
+    """Pairs of which no component is beyond c, or beyond 4.685 where c is less."""
     cost: Float[Tensor, " hypothesis"]
     """The sum of rho."""
     information: Float[Tensor, "hypothesis 6 6"]
@@ -152,10 +162,13 @@ def correspondences(problem: ElementProblem, fit: ElementFit, detect: Detect) ->
     everyone = torch.arange(len(fit.cutoff), device=fit.cutoff.device)
     v, A = equations.linearise(fit.poses.T, everyone)
     weights = equations.weights(v)
+    reach = fit.cutoff.clamp(min=robust.EFFICIENT)[:, None, None]
+    within = ((v.abs() < reach) | ~equations.present).all(-1) & equations.present.any(-1)
     A = torch.where((weights > 0)[..., None], A, 0.0).flatten(1, 2)
     return Correspondences(
         pairs=pairs,
         weights=weights,
+        explained=within,
         cost=equations.evaluate(fit.poses.T, everyone).cost,
         information=A.mT @ A,
     )

@@ -1,9 +1,10 @@
 """The pose of measured elements without a starting value: hypotheses, procedure 3.5, restarts."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.element_fit import (
@@ -15,35 +16,21 @@ from torchcal.calibrate.element_fit import (
     start_cutoff,
 )
 from torchcal.calibrate.element_result import ElementPoses, TriedPoses, conclude, joined
+from torchcal.calibrate.element_search import ElementSearch, check_elements
 from torchcal.geometry import robust
 from torchcal.match.detection import Detect, every_candidate, nearest_candidate
 from torchcal.match.elements import Elements
 from torchcal.match.minimal_sets import Hypotheses, minimal_hypotheses
 from torchcal.match.random_starts import random_starts
-from torchcal.match.support import are_best, are_new, distinct, explained
+from torchcal.match.support import are_best, are_new, distinct, explained, fingerprints
 
 GATE = robust.ZETA * robust.EFFICIENT
 """Standard deviations within which a hypothesis explains an element: zeta steers the search, since
 a pose from a minimal set carries the noise of its few elements."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ElementSearch:
-    """Settings of the search for a pose."""
-
-    sets: int = 1000
-    """Most minimal sets of candidates for each problem; more are sampled."""
-    restarts: int = 4
-    """Most repetitions of the search where good estimation cannot be obtained: the first among all
-    pairs of elements, C ignored, the others from random poses."""
-    starts: int = 64
-    """Random poses in each of those."""
-    enough: float = 0.75
-    """Share of the measured elements that a good estimate explains."""
-    least_cutoff: float = robust.EFFICIENT
-    """Where c of eq. 16 stops shrinking in the last fit; 0 for the literal equation."""
-    chunk: int = 2000
-    """Problems that are solved at a time: it bounds the memory."""
+PAIRS_OF_CANDIDATES = 16_000_000
+"""Most pairs of candidates, of all problems together, that are compared at a time."""
 
 
 def find_element_poses(
@@ -69,16 +56,38 @@ def find_element_poses(
         ValueError: If shapes or dtypes do not belong together, or measured elements are exact.
     """
     search = search or ElementSearch()
-    _check(model, measured, candidates)
+    check_elements(model, measured, candidates)
     batch = candidates.shape[:-2]
     model, measured = model.expand(*batch).flattened(), measured.expand(*batch).flattened()
-    flat = candidates.reshape(-1, *candidates.shape[-2:])
+    flat = candidates.reshape(batch.numel(), *candidates.shape[-2:])
+    chunk = _chunk(flat, search)
     parts = []
-    for first in range(0, len(flat), search.chunk):
-        rows = slice(first, first + search.chunk)
-        problem = ElementProblem.of(model[rows], measured[rows], flat[rows])
-        parts.append(_find(problem, search, detect, generator))
+    for first in range(0, max(len(flat), 1), chunk):
+        rows = slice(first, first + chunk)
+        own, own_centre = _centred(model[rows])
+        others, centre = _centred(measured[rows])
+        problem = ElementProblem.of(own, others, flat[rows])
+        parts.append(_find(problem, search, detect, generator).moved_back(own_centre, centre))
     return joined(parts, batch)
+
+
+def _chunk(candidates: Bool[Tensor, "problem model measured"], search: ElementSearch) -> int:
+    """Problems at a time: fewer where every two of many candidates are compared."""
+    pairs = int(candidates.flatten(1).sum(1).amax()) if len(candidates) else 0
+    if pairs**2 > PAIRS_OF_CANDIDATES:
+        raise ValueError(
+            f"a problem has {pairs} candidates; at most {math.isqrt(PAIRS_OF_CANDIDATES)} can be "
+            "compared with one another: narrow the matrix C"
+        )
+    return min(search.chunk, max(1, PAIRS_OF_CANDIDATES // max(pairs, 1) ** 2))
+
+
+def _centred(elements: Elements) -> tuple[Elements, Float[Tensor, "problem 3"]]:
+    """Elements about the mean of their points, so that no digits are lost far from the origin."""
+    point = elements.point
+    safe = torch.where(point.isfinite(), point, torch.nan)
+    centre = safe.nanmean(-2).nan_to_num(0.0)
+    return replace(elements, point=point - centre[:, None]), centre
 
 
 def _find(
@@ -113,7 +122,9 @@ def _nothing(problem: ElementProblem) -> TriedPoses:
         explained=torch.full_like(number, -1),
         supported=torch.full_like(number, -1),
         cost=empty(members) + torch.inf,
+        fingerprint=torch.zeros_like(number),
         partner=number.new_zeros(members, count),
+        kept=torch.zeros(members, count, dtype=torch.bool, device=number.device),
         weights=empty(members, count, problem.whitening.present.shape[-1]),
         information=empty(members, 6, 6),
         cutoff=empty(members) + robust.EFFICIENT,
@@ -146,7 +157,8 @@ def _restarted(
         cutoff = start_cutoff(everything, starts, nearest_candidate)
         fit = procedure_3_5(everything, starts, cutoff, detect=nearest_candidate, steps=COARSE)
         tried = _detected_again(everything, fit, search)
-    return tried._replace(supported=_support(problem, tried))
+    supported = _supported(problem, tried.problem, tried.partner, tried.kept)
+    return tried._replace(supported=supported)
 
 
 def _attempt(
@@ -163,7 +175,8 @@ def _attempt(
     near = _near(problem, fit.poses)
     supported = distinct(near & problem.candidates[starts.batch])
     members = len(problem.candidates)
-    best = are_best(starts.batch, supported, members) & are_new(starts.batch, near)
+    best = are_best(starts.batch, supported, members)
+    best = best & are_new(starts.batch, _fingerprints(problem, fit.poses, near))
     promising = are_best(starts.batch, distinct(near), members)
     return fit.poses[best], _detected_again(problem, fit.rows(promising), search)
 
@@ -176,7 +189,7 @@ def _worth_fitting(problem: ElementProblem, starts: Hypotheses) -> Tensor:
     score = distinct(near) * (problem.model.count + 1) + supported
     best = are_best(starts.batch, supported, members) | are_best(starts.batch, score, members)
     rows = best.nonzero()[:, 0]
-    return rows[are_new(starts.batch[rows], near[rows])]
+    return rows[are_new(starts.batch[rows], _fingerprints(problem, starts[rows], near[rows]))]
 
 
 def _near(problem: ElementProblem, poses: Hypotheses) -> Tensor:
@@ -184,10 +197,16 @@ def _near(problem: ElementProblem, poses: Hypotheses) -> Tensor:
     return explained(poses, problem.model, problem.measured, problem.deviation, gate=GATE)
 
 
-def _support(problem: ElementProblem, tried: TriedPoses) -> Tensor:
-    """How many of the pairs that each pose explains are candidates."""
-    poses = Hypotheses(batch=tried.problem, T=tried.T)
-    return distinct(_near(problem, poses) & problem.candidates[tried.problem])
+def _fingerprints(problem: ElementProblem, poses: Hypotheses, near: Tensor) -> Tensor:
+    return fingerprints(poses, problem.model, problem.measured, near)
+
+
+def _supported(problem: ElementProblem, batch: Tensor, partner: Tensor, kept: Tensor) -> Tensor:
+    """How many elements are explained by candidates."""
+    pairs = torch.zeros_like(problem.candidates[batch]).scatter(
+        2, partner[..., None], kept[..., None]
+    )
+    return distinct(pairs & problem.candidates[batch])
 
 
 def _detected_again(
@@ -204,41 +223,18 @@ def _detected_again(
         least=search.least_cutoff,
     )
     rests_on = correspondences(everything, fit, nearest_candidate)
-    near = _near(problem, fit.poses)
+    batch, partner = fit.poses.batch, rests_on.pairs.measured
     return TriedPoses(
-        problem=fit.poses.batch,
+        problem=batch,
         T=fit.poses.T,
-        explained=distinct(near),
-        supported=distinct(near & problem.candidates[fit.poses.batch]),
+        explained=_supported(everything, batch, partner, rests_on.explained),
+        supported=_supported(problem, batch, partner, rests_on.explained),
         cost=rests_on.cost,
-        partner=rests_on.pairs.measured,
+        fingerprint=_fingerprints(problem, fit.poses, _near(problem, fit.poses)),
+        partner=partner,
+        kept=rests_on.explained,
         weights=rests_on.weights,
         information=rests_on.information,
         cutoff=fit.cutoff,
         iterations=before.iterations + fit.iterations,
     )
-
-
-def _check(model: Elements, measured: Elements, candidates: Tensor) -> None:
-    found, expected = tuple(candidates.shape[-2:]), (model.count, measured.count)
-    if found != expected:
-        raise ValueError(
-            f"candidates have the shape {found} (model, measured) for {expected[0]} elements of "
-            f"the model and {expected[1]} measured ones"
-        )
-    if 0 in expected:
-        raise ValueError(
-            f"{expected[0]} elements of the model and {expected[1]} measured ones; "
-            "there must be one of each at least"
-        )
-    if candidates.dtype != torch.bool:
-        raise ValueError(f"candidates are {candidates.dtype}; the matrix C must be torch.bool")
-    if model.point.dtype != measured.point.dtype:
-        raise ValueError(
-            f"the model's elements are {model.point.dtype}, the measured ones "
-            f"{measured.point.dtype}; both must be the same"
-        )
-    if (measured.deviation().position == 0).any():
-        raise ValueError(
-            "measured elements without a covariance; give the covariance of their noise (m^2)"
-        )

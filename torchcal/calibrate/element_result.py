@@ -1,6 +1,6 @@
 """What is known of poses that were found from elements."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -8,9 +8,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.geometry import robust
+from torchcal.geometry import robust, se3
 from torchcal.match.minimal_sets import Hypotheses
+from torchcal.match.support import are_new
 from torchcal.solve.gauss_newton import covariance
+
+OTHER = 5.0
+"""Standard deviations beyond which a pose is another one."""
 
 
 class ElementStatus(IntEnum):
@@ -44,7 +48,7 @@ class ElementPoses:
     cost: Float[Tensor, "*batch"]
     """The sum of rho."""
     explained: Int[Tensor, "*batch"]
-    """Distinct measured elements that the pose explains."""
+    """Distinct measured elements that keep their weight."""
     supported: Int[Tensor, "*batch"]
     """How many of them were candidates."""
     iterations: Int[Tensor, "*batch"]
@@ -58,6 +62,33 @@ class ElementPoses:
     from_candidates: Hypotheses
     """The poses that most candidates support, before the correspondences are detected again."""
 
+    def moved_back(
+        self, model: Float[Tensor, "problem 3"], measured: Float[Tensor, "problem 3"]
+    ) -> "ElementPoses":
+        """The same for elements that are not about these centres (m); of one batch axis."""
+
+        def listed(poses: Hypotheses) -> Hypotheses:
+            T = _moved_back(poses.T, model[poses.batch], measured[poses.batch])
+            return Hypotheses(batch=poses.batch, T=T)
+
+        moved = se3.adjoint(_translation(model))
+        return replace(
+            self,
+            T_measured_model=_moved_back(self.T_measured_model, model, measured),
+            covariance=moved @ self.covariance @ moved.mT,
+            rivals=listed(self.rivals),
+            from_candidates=listed(self.from_candidates),
+        )
+
+
+def _moved_back(T: Tensor, model: Tensor, measured: Tensor) -> Tensor:
+    return _translation(measured) @ T @ _translation(-model)
+
+
+def _translation(t: Tensor) -> Tensor:
+    eye = torch.eye(3, dtype=t.dtype, device=t.device).expand(*t.shape, 3)
+    return se3.from_rotation_translation(eye, t)
+
 
 class TriedPoses(NamedTuple):
     """Fitted hypotheses of many problems; every tensor has a row for each.
@@ -70,7 +101,11 @@ class TriedPoses(NamedTuple):
     explained: Tensor
     supported: Tensor
     cost: Tensor
+    fingerprint: Tensor
+    """The same for the same pose."""
     partner: Tensor
+    kept: Tensor
+    """Which elements of the model are explained."""
     weights: Tensor
     information: Tensor
     cutoff: Tensor
@@ -110,9 +145,7 @@ def conclude(tried: TriedPoses, searches: Tensor, first: Hypotheses, enough: flo
     """
     best_rows = tried.best()
     best = tried.rows(best_rows)
-    rival = (tried.explained == best.explained[tried.problem]) & (tried.explained > 0)
-    rival[best_rows] = False
-    rivals = tried.rows(rival)
+    rivals = _rivals(tried, best)
     rank = _rank(best.information)
     equal = rivals.supported == best.supported[rivals.problem]
     is_ambiguous = torch.zeros_like(searches, dtype=torch.bool)
@@ -140,6 +173,17 @@ def conclude(tried: TriedPoses, searches: Tensor, first: Hypotheses, enough: flo
     )
 
 
+def _rivals(tried: TriedPoses, best: TriedPoses) -> TriedPoses:
+    """Other poses that explain as many elements, each of them once."""
+    own = best.rows(tried.problem)
+    as_good = (tried.explained == own.explained) & (tried.explained > 0)
+    rivals, own = tried.rows(as_good), own.rows(as_good)
+    xi = se3.log(se3.inverse(own.T) @ rivals.T)
+    squared = (xi * (own.information @ xi[..., None])[..., 0]).sum(-1)
+    rivals = rivals.rows(squared > OTHER**2)
+    return rivals.rows(are_new(rivals.problem, rivals.fingerprint))
+
+
 def _rank(information: Tensor) -> Tensor:
     """Directions of the twist that are determined, in units in which each axis alone counts 1."""
     scale = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).rsqrt()
@@ -157,7 +201,7 @@ def joined(parts: list[ElementPoses], batch: torch.Size) -> ElementPoses:
 
     def whole(name: str) -> Tensor:
         values = torch.cat([getattr(part, name) for part in parts])
-        return values.reshape(*batch, *values.shape[1:])
+        return values.reshape((*batch, *values.shape[1:]))
 
     def listed(name: str) -> Hypotheses:
         chosen = [getattr(part, name) for part in parts]

@@ -61,7 +61,7 @@ class Elements:
         direction: Float[Tensor, "*batch element 3"],
         covariance: Float[Tensor, "*batch element 6 6"] | None = None,
     ) -> "Elements":
-        """Straight lines through points (m) along directions of any length."""
+        """Straight lines through points (m) along directions of any length but 0."""
         return _directed(Kind.LINE, point, direction, covariance)
 
     @staticmethod
@@ -70,7 +70,7 @@ class Elements:
         normal: Float[Tensor, "*batch element 3"],
         covariance: Float[Tensor, "*batch element 6 6"] | None = None,
     ) -> "Elements":
-        """Planes through points (m) with normals of any length."""
+        """Planes through points (m) with normals of any length but 0."""
         return _directed(Kind.PLANE, point, normal, covariance)
 
     @staticmethod
@@ -136,11 +136,15 @@ class Elements:
 
 
 def _directed(kind: Kind, point: Tensor, direction: Tensor, covariance: Tensor | None) -> Elements:
+    if (direction == 0).all(-1).any():
+        raise ValueError(f"a direction of a {kind.name.lower()} has the length 0")
     return Elements(
         kind=torch.full(point.shape[:-1], kind.value, device=point.device),
         point=point,
         direction=torch.nn.functional.normalize(direction, dim=-1),
-        covariance=_exact(point) if covariance is None else covariance,
+        covariance=_exact(point)
+        if covariance is None
+        else covariance.expand(*point.shape[:-1], 6, 6),
     )
 
 

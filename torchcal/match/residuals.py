@@ -91,7 +91,7 @@ class PairResiduals:
         own, others = (rows, pairs.model), (rows, pairs.measured)
         return PairResiduals(
             kind=model.kind[own],
-            directed=model.directed,
+            directed=whitening.present.shape[-1] > 3,
             p=model.point[own],
             d=model.direction[own],
             q=measured.point[others],

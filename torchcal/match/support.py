@@ -68,17 +68,17 @@ def _differences(
     x, q = se3.transform(T, model.point[batch]), measured.point[batch]
     # Differences first: the expansion with a matrix product would lose small distances far away.
     distance = torch.cdist(x, q, compute_mode="donot_use_mm_for_euclid_dist")
-    if not model.directed:
+    if not (model.directed or measured.directed):
         return distance, None
     kind = model.kind[batch][:, :, None]
-    e = model.direction[batch] @ T[:, :3, :3].mT
+    e, n = model.direction[batch] @ T[:, :3, :3].mT, measured.direction[batch]
     along = ((e * x).sum(-1, keepdim=True) - e @ q.mT).abs()
     across = (distance.square() - along.square()).clamp(min=0.0).sqrt()
     distance = torch.where(kind == Kind.LINE, across, distance)
     distance = torch.where(kind == Kind.PLANE, along, distance)
-    cosine = e @ measured.direction[batch].mT
-    cosine = torch.where(kind == Kind.LINE, cosine.abs(), cosine)
-    chord = (2.0 - 2.0 * cosine).clamp(min=0.0).sqrt()
+    chord = torch.cdist(e, n, compute_mode="donot_use_mm_for_euclid_dist")
+    opposed = torch.cdist(e, -n, compute_mode="donot_use_mm_for_euclid_dist")
+    chord = torch.where(kind == Kind.LINE, torch.minimum(chord, opposed), chord)
     chord = torch.where(kind == Kind.POINT, 0.0, chord)
     same = kind == measured.kind[batch][:, None]
     return torch.where(same, distance, torch.inf), chord
@@ -89,17 +89,39 @@ def distinct(pairs: Bool[Tensor, "*batch model measured"]) -> Int[Tensor, "*batc
     return torch.minimum(pairs.any(-1).sum(-1), pairs.any(-2).sum(-1))
 
 
-def are_new(
-    batch: Int[Tensor, " hypothesis"], pairs: Bool[Tensor, "hypothesis model measured"]
-) -> Bool[Tensor, " hypothesis"]:
-    """Whether no earlier hypothesis of the same member of the batch explains the same pairs.
+def fingerprints(
+    hypotheses: Hypotheses,
+    model: Elements,
+    measured: Elements,
+    pairs: Bool[Tensor, "hypothesis model measured"],
+) -> Int[Tensor, " hypothesis"]:
+    """Numbers that are equal where poses explain the same pairs with lines in the same senses.
 
-    Such hypotheses are one pose. (Pairs are compared by random sums of 64 bits.)
+    Such hypotheses are one pose. (The numbers are random sums of 64 bits.)
+
+    Args:
+        hypotheses: Poses that carry the model's elements onto the measured ones.
+        model: Elements of each member of the batch.
+        measured: Elements of each member of the batch.
+        pairs: What each pose explains.
     """
     generator = torch.Generator().manual_seed(0)
-    size = pairs.shape[-1] * pairs.shape[-2]
+    size = 2 * model.count * measured.count
     words = torch.randint(-(2**62), 2**62, (size,), generator=generator).to(pairs.device)
-    prints = torch.where(pairs.flatten(1), words, 0).sum(1)
+    straight, turned = words.view(2, model.count, measured.count)
+    prints = torch.where(pairs, straight, 0).sum((1, 2))
+    if not (model.directed and measured.directed):
+        return prints
+    batch = hypotheses.batch
+    e = model.direction[batch] @ hypotheses.T[:, :3, :3].mT
+    opposed = (e @ measured.direction[batch].mT) < 0
+    return prints + torch.where(pairs & opposed, turned, 0).sum((1, 2))
+
+
+def are_new(
+    batch: Int[Tensor, " hypothesis"], prints: Int[Tensor, " hypothesis"]
+) -> Bool[Tensor, " hypothesis"]:
+    """Whether no earlier hypothesis of the same member of the batch has the same fingerprint."""
     order = prints.argsort(stable=True)
     order = order[batch[order].argsort(stable=True)]
     same = (prints[order].diff() == 0) & (batch[order].diff() == 0)
