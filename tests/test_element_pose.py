@@ -270,3 +270,96 @@ def test_mistakes_are_named(rng):
             trials.candidates,
             generator=rng,
         )
+
+
+def test_unrelated_points_are_never_converged(rng):
+    model = Elements.points(0.5 * torch.rand(8, 3, generator=rng, dtype=torch.float64))
+    measured = Elements.points(
+        0.5 * torch.rand(30, 8, 3, generator=rng, dtype=torch.float64),
+        1e-4 * torch.eye(3).double().expand(30, 8, 3, 3),
+    )
+    poses = torchcal.find_element_poses(
+        model, measured, torch.ones(30, 8, 8, dtype=torch.bool), generator=generator()
+    )
+    assert poses.status.eq(ElementStatus.FAILED).all()
+
+
+@pytest.mark.parametrize("kept", [[3, 4], [0, 3]])
+def test_lines_that_may_be_turned_are_ambiguous(kept, rng):
+    model, measured, T = room(rng, 20)
+    some = torch.tensor(kept)
+    model, measured = model._map(lambda v: v[some]), measured._map(lambda v: v[:, some])
+    C = torch.eye(2, dtype=torch.bool).expand(20, 2, 2)
+    poses = torchcal.find_element_poses(model, measured, C, generator=generator())
+    assert poses.status.eq(ElementStatus.AMBIGUOUS).all()
+    every = torch.cat([poses.T_measured_model, poses.rivals.T])
+    batch = torch.cat([torch.arange(20), poses.rivals.batch])
+    near = se3.log(se3.inverse(every) @ T[batch]).norm(dim=-1) < 0.2
+    assert batch[near].unique().tolist() == list(range(20))
+
+
+def test_points_that_are_one_way_only_have_no_rivals(rng):
+    model = Elements.points(4 * torch.rand(12, 3, generator=rng, dtype=torch.float64))
+    measured = Elements.points(
+        model.point + 0.01 * torch.randn(10, 12, 3, generator=rng, dtype=torch.float64),
+        1e-4 * torch.eye(3).double().expand(10, 12, 3, 3),
+    )
+    poses = torchcal.find_element_poses(
+        model, measured, torch.ones(10, 12, 12, dtype=torch.bool), generator=generator()
+    )
+    assert poses.status.eq(ElementStatus.CONVERGED).all()
+    assert len(poses.rivals.batch) == 0
+
+
+def test_coordinates_far_from_the_origin_lose_nothing(rng):
+    trials = brick.draw_trials(20, "all-pairs", generator=rng)
+    near = find(trials)
+    away = torch.tensor([3e6, -2e6, 5e6], dtype=torch.float64)
+    model = Elements.points(brick.brick_model().point + away)
+    far = torchcal.find_element_poses(
+        model, trials.measured, trials.candidates, generator=generator(), search=ALL_EIGHT
+    )
+    assert_close(far.status, near.status)
+    moved = se3.transform(far.T_measured_model, model.point)
+    expected = se3.transform(near.T_measured_model, brick.brick_model().point)
+    assert_close(moved, expected, rtol=0, atol=1e-6)
+
+
+def test_one_problem_without_a_batch_and_no_problems(rng):
+    trials = brick.draw_trials(1, "all-pairs", generator=rng)
+    one = torchcal.find_element_poses(
+        brick.brick_model(),
+        trials.measured._map(lambda values: values[0]),
+        trials.candidates[0],
+        generator=generator(),
+        search=ALL_EIGHT,
+    )
+    assert one.T_measured_model.shape == (4, 4)
+    assert one.explained == 8
+    none = torchcal.find_element_poses(
+        brick.brick_model(), trials.measured[:0], trials.candidates[:0], generator=generator()
+    )
+    assert none.status.shape == (0,)
+
+
+def test_no_kind_in_common_is_failed(rng):
+    points = Elements.points(torch.rand(4, 3, generator=rng, dtype=torch.float64))
+    _, measured, _ = room(rng, 3)
+    lines = measured._map(lambda values: values[:, 3:7])
+    C = torch.ones(3, 4, 4, dtype=torch.bool)
+    poses = torchcal.find_element_poses(points, lines, C, generator=generator())
+    assert poses.status.eq(ElementStatus.FAILED).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"chunk": 0}, "chunk is 0"),
+        ({"sets": -1}, "sets is -1"),
+        ({"enough": math.nan}, "enough is nan"),
+        ({"least_cutoff": math.nan}, "least_cutoff is nan"),
+    ],
+)
+def test_settings_out_of_range_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        ElementSearch(**options)

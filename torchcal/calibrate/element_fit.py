@@ -146,6 +146,9 @@ class Correspondences:
     """Pairs of which no component is beyond c, or beyond 4.685 where c is less."""
     cost: Float[Tensor, " hypothesis"]
     """The sum of rho."""
+    misfit: Float[Tensor, " hypothesis"]
+    """By how many standard deviations the squared residuals of the explained pairs are larger
+    than those of noise alone."""
     information: Float[Tensor, "hypothesis 6 6"]
     """A^T W A of the correspondences that kept their weight, without biweights."""
 
@@ -164,14 +167,24 @@ def correspondences(problem: ElementProblem, fit: ElementFit, detect: Detect) ->
     weights = equations.weights(v)
     reach = fit.cutoff.clamp(min=robust.EFFICIENT)[:, None, None]
     within = ((v.abs() < reach) | ~equations.present).all(-1) & equations.present.any(-1)
+    used = equations.present & within[..., None]
     A = torch.where((weights > 0)[..., None], A, 0.0).flatten(1, 2)
     return Correspondences(
         pairs=pairs,
         weights=weights,
         explained=within,
         cost=equations.evaluate(fit.poses.T, everyone).cost,
+        misfit=_misfit(torch.where(used, v, 0.0), used),
         information=A.mT @ A,
     )
+
+
+def _misfit(v: Tensor, used: Tensor) -> Tensor:
+    """Chi-square of the residuals as a normal deviate: its cube root is nearly Gaussian."""
+    freedom = (used.flatten(1).sum(1) - 6).clamp(min=1)
+    variance = 2.0 / (9.0 * freedom)
+    root = (v.square().flatten(1).sum(1) / freedom) ** (1 / 3)
+    return (root - (1.0 - variance)) / variance.sqrt()
 
 
 def start_cutoff(

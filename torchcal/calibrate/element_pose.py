@@ -102,7 +102,7 @@ def _find(
     searches = torch.ones(members, dtype=torch.int64, device=tried.problem.device)
     for restart in range(search.restarts):
         best = tried.rows(tried.best())
-        weak = (best.explained < enough).nonzero()[:, 0]
+        weak = (~best.is_good(enough)).nonzero()[:, 0]
         if len(weak) == 0:
             break
         again = _restarted(problem.rows(weak), restart, search, generator)
@@ -122,6 +122,7 @@ def _nothing(problem: ElementProblem) -> TriedPoses:
         explained=torch.full_like(number, -1),
         supported=torch.full_like(number, -1),
         cost=empty(members) + torch.inf,
+        misfit=empty(members) + torch.inf,
         fingerprint=torch.zeros_like(number),
         partner=number.new_zeros(members, count),
         kept=torch.zeros(members, count, dtype=torch.bool, device=number.device),
@@ -230,6 +231,7 @@ def _detected_again(
         explained=_supported(everything, batch, partner, rests_on.explained),
         supported=_supported(problem, batch, partner, rests_on.explained),
         cost=rests_on.cost,
+        misfit=rests_on.misfit,
         fingerprint=_fingerprints(problem, fit.poses, _near(problem, fit.poses)),
         partner=partner,
         kept=rests_on.explained,

@@ -15,6 +15,8 @@ from torchcal.solve.gauss_newton import covariance
 
 OTHER = 5.0
 """Standard deviations beyond which a pose is another one."""
+MISFIT = 6.0
+"""Standard deviations of the sum of squares beyond which residuals are not noise."""
 
 
 class ElementStatus(IntEnum):
@@ -26,7 +28,7 @@ class ElementStatus(IntEnum):
     UNOBSERVABLE = 2
     """The elements do not determine all of the pose."""
     FAILED = 3
-    """No pose explains as much as a good estimate does."""
+    """No pose explains enough elements, with residuals that noise could give."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -101,6 +103,7 @@ class TriedPoses(NamedTuple):
     explained: Tensor
     supported: Tensor
     cost: Tensor
+    misfit: Tensor
     fingerprint: Tensor
     """The same for the same pose."""
     partner: Tensor
@@ -114,6 +117,10 @@ class TriedPoses(NamedTuple):
     def rows(self, chosen: Tensor) -> "TriedPoses":
         """Some of the hypotheses."""
         return TriedPoses(*(values[chosen] for values in self))
+
+    def is_good(self, enough: float) -> Tensor:
+        """Whether enough elements are explained, with residuals that noise could give."""
+        return (self.explained >= enough) & (self.misfit <= MISFIT)
 
     def score(self) -> Tensor:
         """Elements explained first, candidates among them second."""
@@ -153,7 +160,7 @@ def conclude(tried: TriedPoses, searches: Tensor, first: Hypotheses, enough: flo
     status = torch.full_like(searches, ElementStatus.CONVERGED.value)
     status = torch.where(is_ambiguous, ElementStatus.AMBIGUOUS.value, status)
     status = torch.where(rank < 6, ElementStatus.UNOBSERVABLE.value, status)
-    status = torch.where(best.explained < enough, ElementStatus.FAILED.value, status)
+    status = torch.where(best.is_good(enough), status, ElementStatus.FAILED.value)
     inflation = robust.variance_inflation(best.cutoff)[:, None, None]
     return ElementPoses(
         T_measured_model=best.T,
