@@ -77,8 +77,6 @@ class ElementFit:
     poses: Hypotheses
     cutoff: Float[Tensor, " hypothesis"]
     """c of eq. 16 at the end."""
-    stop: Int[Tensor, " hypothesis"]
-    """One ``StopReason`` each."""
     iterations: Int[Tensor, " hypothesis"]
     """Steps of nonlinear least squares in all rounds."""
 
@@ -87,7 +85,6 @@ class ElementFit:
         return ElementFit(
             poses=self.poses[chosen],
             cutoff=self.cutoff[chosen],
-            stop=self.stop[chosen],
             iterations=self.iterations[chosen],
         )
 
@@ -114,7 +111,7 @@ def procedure_3_5(
         rounds: Most repetitions of (1) to (4).
     """
     T, c = starts.T.clone(), cutoff.clone()
-    iterations, stop = torch.zeros_like(starts.batch), torch.zeros_like(starts.batch)
+    iterations = torch.zeros_like(starts.batch)
     lowest = torch.full_like(c, torch.inf)
     active = torch.arange(len(c), device=c.device)
     for config in [COARSE, *[steps] * (rounds - 1)]:
@@ -122,7 +119,7 @@ def procedure_3_5(
         _, equations = _detected(problem, now, c[active], detect)  # (1) and (4)
         solution = minimise(equations.evaluate, _retract, now.T, config)  # (2) and (3)
         smaller = _smaller_cutoff(equations, solution, least)
-        T[active], stop[active] = solution.state, solution.stop
+        T[active] = solution.state
         iterations[active] += solution.iterations
         still = (solution.iterations <= 1) | ~_is_lower(solution, lowest[active])
         settled = still & (smaller >= c[active])  # (5)
@@ -132,7 +129,7 @@ def procedure_3_5(
         if len(active) == 0:
             break
     poses = Hypotheses(batch=starts.batch, T=T)
-    return ElementFit(poses=poses, cutoff=c, stop=stop, iterations=iterations)
+    return ElementFit(poses=poses, cutoff=c, iterations=iterations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -173,7 +170,7 @@ def correspondences(problem: ElementProblem, fit: ElementFit, detect: Detect) ->
         pairs=pairs,
         weights=weights,
         explained=within,
-        cost=equations.evaluate(fit.poses.T, everyone).cost,
+        cost=equations.costs(v),
         misfit=_misfit(torch.where(used, v, 0.0), used),
         information=A.mT @ A,
     )

@@ -6,7 +6,6 @@ from typing import Literal, TypeAlias
 
 import torch
 from jaxtyping import Bool, Float
-from kornia.geometry.conversions import quaternion_to_rotation_matrix
 from torch import Tensor
 
 from torchcal.geometry import se3
@@ -49,8 +48,7 @@ def brick_model() -> Elements:
 def draw_trials(trials: int, protocol: Protocol, *, generator: torch.Generator) -> BrickTrials:
     """Draws poses, noise and candidates."""
     model = brick_model()
-    quaternion = torch.randn(trials, 4, dtype=torch.float64, generator=generator)
-    R = quaternion_to_rotation_matrix(torch.nn.functional.normalize(quaternion, dim=-1))
+    R = se3.random_rotations(trials, generator=generator)
     t = EXTENT * (torch.rand(trials, 3, dtype=torch.float64, generator=generator) - 0.5)
     T = se3.from_rotation_translation(R, t)
     exact = se3.transform(T, model.point)

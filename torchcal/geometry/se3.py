@@ -6,7 +6,11 @@ radians and acts on the right, ``T @ exp(xi)``; covariances of poses are of that
 
 import torch
 from jaxtyping import Float
-from kornia.geometry.conversions import quaternion_to_axis_angle, rotation_matrix_to_quaternion
+from kornia.geometry.conversions import (
+    quaternion_to_axis_angle,
+    quaternion_to_rotation_matrix,
+    rotation_matrix_to_quaternion,
+)
 from torch import Tensor
 
 
@@ -91,6 +95,12 @@ def from_rotation_translation(
     bottom = torch.zeros_like(top[..., :1, :])
     bottom[..., 3] = 1.0
     return torch.cat([top, bottom], -2)
+
+
+def random_rotations(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3 3"]:
+    """Uniformly distributed rotation matrices, in float64 on the CPU."""
+    quaternion = torch.randn(count, 4, dtype=torch.float64, generator=generator)
+    return quaternion_to_rotation_matrix(torch.nn.functional.normalize(quaternion, dim=-1))
 
 
 def from_xyz_rpy(

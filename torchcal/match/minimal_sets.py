@@ -14,7 +14,7 @@ from torchcal.geometry import se3
 from torchcal.geometry.alignment import rotation_from_directions, solve_3x3
 from torchcal.match.elements import Elements, Kind
 from torchcal.match.invariants import PARALLEL, Invariants
-from torchcal.match.pairs import Pairs
+from torchcal.match.pairs import Pairs, place_in_group
 
 P, L, E = Kind.POINT.value, Kind.LINE.value, Kind.PLANE.value
 TWO = ((P, L), (L, L), (L, E))
@@ -117,8 +117,7 @@ def _sample(sets: Tensor, limit: int, generator: torch.Generator) -> Tensor:
         return sets
     chance = torch.rand(len(sets), dtype=torch.float64, generator=generator).to(sets.device)
     order = (batch + chance).argsort()
-    rank = torch.arange(len(sets), device=sets.device) - (count.cumsum(0) - count)[batch]
-    return sets[order[rank < limit]]
+    return sets[order[place_in_group(batch, count) < limit]]
 
 
 def _solve(model: Elements, measured: Elements, pairs: Pairs, sets: Tensor) -> Hypotheses:

@@ -7,6 +7,16 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 
+def place_in_group(group: Int[Tensor, " row"], count: Int[Tensor, " group"]) -> Int[Tensor, " row"]:
+    """The number of each row within its group.
+
+    Args:
+        group: Of each row, in ascending order.
+        count: Rows of each group.
+    """
+    return torch.arange(len(group), device=group.device) - (count.cumsum(0) - count)[group]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Pairs:
     """Pairs (i, j) with C_ij = 1 for every problem of a batch, padded to the same length."""
@@ -21,9 +31,7 @@ class Pairs:
         """The ones of the matrices C of eq. 6, in the order of the model's elements."""
         problem, model, measured = candidates.nonzero(as_tuple=True)
         count = candidates.flatten(1).sum(1)
-        column = (
-            torch.arange(len(problem), device=count.device) - (count.cumsum(0) - count)[problem]
-        )
+        column = place_in_group(problem, count)
         shape = (len(candidates), int(count.max()) if len(count) else 0)
         padded = model.new_zeros(3, *shape)
         padded[:, problem, column] = torch.stack([model, measured, torch.ones_like(model)])

@@ -1,7 +1,6 @@
 """The random search of the initial values (3.5)."""
 
 import torch
-from kornia.geometry.conversions import quaternion_to_rotation_matrix
 
 from torchcal.geometry import se3
 from torchcal.match.elements import Elements
@@ -27,8 +26,7 @@ def random_starts(
         choice = torch.randint(elements.count, (len(batch),), generator=generator).to(like.device)
         return elements.point[batch, choice]
 
-    quaternion = torch.randn(len(batch), 4, dtype=torch.float64, generator=generator).to(like)
-    R = quaternion_to_rotation_matrix(torch.nn.functional.normalize(quaternion, dim=-1))
+    R = se3.random_rotations(len(batch), generator=generator).to(like)
     p, q = drawn(model), drawn(measured)
     return Hypotheses(
         batch=batch, T=se3.from_rotation_translation(R, q - (R @ p[..., None])[..., 0])

@@ -27,13 +27,11 @@ class RobustCorrespondences:
         v, A = self.linearise(state, problem)
         present, c = self.present[problem], self.cutoff[problem, None, None]
         v = torch.where(present, v, 0.0)
-        kept = _kept(v, c)
-        weight = torch.where(present & kept, robust.biweight(v, c), 0.0)
+        weight = _weights(v, present, c)
         A = torch.where(present[..., None], A, 0.0).flatten(1, 2)
         weighted = A * weight.flatten(1)[..., None]
-        rho = torch.where(kept, robust.biweight_cost(v, c), c.square() / 6.0)
         return NormalEquations(
-            cost=torch.where(present, rho, 0.0).flatten(1).sum(1),
+            cost=_costs(v, present, c),
             information=weighted.mT @ A,
             gradient=(weighted.mT @ v.flatten(1)[..., None])[..., 0],
         )
@@ -42,8 +40,24 @@ class RobustCorrespondences:
         self, v: Float[Tensor, "problem correspondence component"]
     ) -> Float[Tensor, "problem correspondence component"]:
         """The biweights of whitened residuals; 0 for padding."""
-        v, c = torch.where(self.present, v, 0.0), self.cutoff[:, None, None]
-        return torch.where(self.present & _kept(v, c), robust.biweight(v, c), 0.0)
+        v = torch.where(self.present, v, 0.0)
+        return _weights(v, self.present, self.cutoff[:, None, None])
+
+    def costs(
+        self, v: Float[Tensor, "problem correspondence component"]
+    ) -> Float[Tensor, " problem"]:
+        """The sums of rho of whitened residuals."""
+        v = torch.where(self.present, v, 0.0)
+        return _costs(v, self.present, self.cutoff[:, None, None])
+
+
+def _weights(v: Tensor, present: Tensor, c: Tensor) -> Tensor:
+    return torch.where(present & _kept(v, c), robust.biweight(v, c), 0.0)
+
+
+def _costs(v: Tensor, present: Tensor, c: Tensor) -> Tensor:
+    rho = torch.where(_kept(v, c), robust.biweight_cost(v, c), c.square() / 6.0)
+    return torch.where(present, rho, 0.0).flatten(1).sum(1)
 
 
 def _kept(v: Tensor, c: Tensor) -> Tensor:
