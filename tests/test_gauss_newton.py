@@ -11,6 +11,7 @@ from torchcal.solve.gauss_newton import (
     StopReason,
     covariance,
     minimise,
+    shared,
 )
 
 EXACT = GaussNewtonConfig(iterations=100, tolerance=1e-9)
@@ -47,7 +48,7 @@ def test_a_linear_problem_is_solved_in_one_step(rng):
     A = torch.randn(4, 9, 3, generator=rng, dtype=torch.float64)
     y = torch.randn(4, 9, generator=rng, dtype=torch.float64)
     solution = minimise(
-        lambda x: equations(y - (A @ x[..., None])[..., 0], A),
+        lambda x, i: equations(y[i] - (A[i] @ x[..., None])[..., 0], A[i]),
         add,
         torch.zeros(4, 3, dtype=torch.float64),
         GaussNewtonConfig(iterations=1, damping=0.0),
@@ -56,7 +57,7 @@ def test_a_linear_problem_is_solved_in_one_step(rng):
 
 
 def test_a_curved_valley_is_followed_to_its_end():
-    solution = minimise(valley, add, starts(), EXACT)
+    solution = minimise(shared(valley), add, starts(), EXACT)
     assert solution.stop.eq(StopReason.CONVERGED).all()
     assert_close(solution.state, torch.ones(6, 2, dtype=torch.float64))
 
@@ -74,7 +75,7 @@ def test_robust_fit_is_that_of_scipy(rng):
         return equations((y - x[:, :1] * curve) / 0.02, A)
 
     start = torch.tensor([[1.0, 1.0]], dtype=torch.float64)
-    solution = minimise(evaluate, add, start, EXACT)
+    solution = minimise(shared(evaluate), add, start, EXACT)
     expected = least_squares(residual, start[0].numpy(), xtol=1e-12, ftol=1e-12, gtol=1e-12)
     assert_close(solution.state[0], torch.from_numpy(expected.x), rtol=1e-6, atol=0)
 
@@ -94,7 +95,7 @@ def test_points_are_aligned_as_in_closed_form(rng):
     def retract(T: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
         return T @ se3.exp(step)
 
-    solution = minimise(evaluate, retract, torch.eye(4, dtype=torch.float64)[None], EXACT)
+    solution = minimise(shared(evaluate), retract, torch.eye(4, dtype=torch.float64)[None], EXACT)
     a, b = model - model.mean(0), measured - measured.mean(0)
     U, _, V = torch.linalg.svd(b.mT @ a)
     R = U @ V
@@ -103,36 +104,56 @@ def test_points_are_aligned_as_in_closed_form(rng):
 
 
 def test_a_batch_is_its_elements_bit_for_bit():
-    whole = minimise(valley, add, starts(), GaussNewtonConfig(iterations=12))
-    alone = [minimise(valley, add, x[None], GaussNewtonConfig(iterations=12)) for x in starts()]
+    whole = minimise(shared(valley), add, starts(), GaussNewtonConfig(iterations=12))
+    alone = [
+        minimise(shared(valley), add, x[None], GaussNewtonConfig(iterations=12)) for x in starts()
+    ]
     assert_close(torch.cat([s.state for s in alone]), whole.state, rtol=0, atol=0)
     assert_close(torch.cat([s.stop for s in alone]), whole.stop)
     assert_close(torch.cat([s.iterations for s in alone]), whole.iterations)
 
 
 def test_bad_elements_leave_the_others_bit_for_bit_as_they_were():
-    def evaluate(x: torch.Tensor) -> NormalEquations:
-        good = valley(x)
-        information, gradient = good.information.clone(), good.gradient.clone()
-        information[1] = torch.ones(2, 2, dtype=torch.float64)
-        information[2] = torch.nan
-        gradient[3] = -gradient[3]
-        return NormalEquations(cost=good.cost, information=information, gradient=gradient)
+    singular, invalid, hopeless = 1, 2, 3
 
-    expected = minimise(valley, add, starts(), EXACT)
+    def evaluate(x: torch.Tensor, element: torch.Tensor) -> NormalEquations:
+        good = valley(x)
+        flat = torch.where(element == singular, 1.0, 0.0)[:, None, None].double()
+        information = torch.where(flat > 0, flat, good.information)
+        bad = torch.where(element == invalid, torch.nan, 0.0)[:, None, None].double()
+        turn = torch.where(element == hopeless, -1.0, 1.0)[:, None].double()
+        return NormalEquations(
+            cost=good.cost, information=information + bad, gradient=turn * good.gradient
+        )
+
+    expected = minimise(shared(valley), add, starts(), EXACT)
     solution = minimise(evaluate, add, starts(), EXACT)
     kept = [0, 4, 5]
     assert_close(solution.state[kept], expected.state[kept], rtol=0, atol=0)
     assert_close(solution.stop[kept], expected.stop[kept])
-    assert solution.stop[2] == StopReason.INVALID
-    assert_close(solution.state[2], starts()[2], rtol=0, atol=0)
-    assert solution.stop[3] == StopReason.STUCK
-    assert_close(solution.state[3], starts()[3], rtol=0, atol=0)
+    assert solution.stop[invalid] == StopReason.INVALID
+    assert_close(solution.state[invalid], starts()[invalid], rtol=0, atol=0)
+    assert solution.stop[hopeless] == StopReason.STUCK
+    assert_close(solution.state[hopeless], starts()[hopeless], rtol=0, atol=0)
     assert solution.state.isfinite().all()
 
 
+def test_elements_that_have_stopped_are_not_evaluated_again():
+    evaluated = torch.zeros(6, dtype=torch.int64)
+
+    def evaluate(x: torch.Tensor, element: torch.Tensor) -> NormalEquations:
+        evaluated[element] += 1
+        return valley(x)
+
+    solution = minimise(evaluate, add, starts(), EXACT)
+    assert_close(evaluated, solution.iterations + 1)
+    assert len(solution.iterations.unique()) > 1
+
+
 def test_iterations_that_were_used_up_are_said():
-    solution = minimise(valley, add, starts(), GaussNewtonConfig(iterations=1, tolerance=1e-9))
+    solution = minimise(
+        shared(valley), add, starts(), GaussNewtonConfig(iterations=1, tolerance=1e-9)
+    )
     assert solution.stop.eq(StopReason.ITERATIONS).all()
     assert solution.iterations.eq(1).all()
 
@@ -143,7 +164,7 @@ def test_an_impossible_state_is_never_accepted():
         cost = torch.where(x[:, 0] > 2.0, torch.inf, found.cost)
         return NormalEquations(cost=cost, information=found.information, gradient=found.gradient)
 
-    solution = minimise(evaluate, add, torch.tensor([[0.0], [2.5]]).double(), EXACT)
+    solution = minimise(shared(evaluate), add, torch.tensor([[0.0], [2.5]]).double(), EXACT)
     assert float(solution.state[0, 0]) <= 2.0
     assert solution.stop[1] == StopReason.INVALID
 
@@ -164,7 +185,7 @@ def test_the_cost_never_rises_by_more_than_the_ripple(ripple):
     costs = [evaluate(x).cost]
     for n in range(1, 10):
         config = GaussNewtonConfig(iterations=n, ripple=ripple)
-        costs.append(minimise(evaluate, add, x, config).equations.cost)
+        costs.append(minimise(shared(evaluate), add, x, config).equations.cost)
     path = torch.stack(costs)
     assert (path[1:] <= (1 + ripple) * path[:-1]).all()
     assert (path[-1] < path[0]).any()
@@ -206,7 +227,7 @@ def test_steps_are_lengthened_where_the_gradient_falls_too_slowly():
         )
 
     start = torch.tensor([[1000.0], [-400.0]], dtype=torch.float64)
-    plain = minimise(overstated, add, start, GaussNewtonConfig(iterations=6))
-    longer = minimise(overstated, add, start, GaussNewtonConfig(iterations=6, longest=20.0))
+    plain = minimise(shared(overstated), add, start, GaussNewtonConfig(iterations=6))
+    longer = minimise(shared(overstated), add, start, GaussNewtonConfig(iterations=6, longest=20.0))
     assert_close(plain.state / start, torch.full((2, 1), 0.9**6).to(start), rtol=1e-3, atol=0)
     assert ((longer.state / start).abs() < 1e-2).all()

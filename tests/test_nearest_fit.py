@@ -16,7 +16,7 @@ from torchcal.calibrate.search import APART, are_apart, distinct, find_candidate
 from torchcal.geometry import se3
 from torchcal.model.job import Job
 from torchcal.model.scene import Surface
-from torchcal.solve.gauss_newton import GaussNewtonConfig, minimise
+from torchcal.solve.gauss_newton import GaussNewtonConfig, minimise, shared
 
 FAR_OFF = twist(0.12, -0.12, 0.1, 0.1, -0.1, 0.1)
 """0.2 m and 10 degrees."""
@@ -51,7 +51,7 @@ def test_a_fit_from_nearby_ends_near_the_truth(rng):
     for _ in range(2):
         fit = fit_of(job, state, rng)
         config = GaussNewtonConfig(iterations=20)
-        state = minimise(fit.evaluate, parameters.retract, state[None], config).state[0]
+        state = minimise(shared(fit.evaluate), parameters.retract, state[None], config).state[0]
     position, rotation = error_of(parameters.sensor_poses(state)[0], EYE)
     # The beam rounds off edges by centimetres and patches lie 4 to 7 cm apart.
     assert position < 0.03

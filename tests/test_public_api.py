@@ -63,10 +63,8 @@ def public_names() -> list[str]:
     return sorted(set(spelled))
 
 
-def example(language: str) -> str:
-    blocks = re.findall(rf"```{language}\n(.*?)```", README.read_text(), re.DOTALL)
-    assert len(blocks) == 1
-    return blocks[0]
+def examples(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README.read_text(), re.DOTALL)
 
 
 def write_small_demo(folder: Path) -> torch.Tensor:
@@ -106,7 +104,7 @@ def test_a_name_that_torchcal_does_not_have_is_an_attribute_error():
 
 
 def test_the_job_file_of_the_readme_has_only_keys_that_a_job_may_have():
-    table = checked(README, tomllib.loads(example("toml")))
+    table = checked(README, tomllib.loads(*examples("toml")))
     assert table.world is not None
     assert table.sensor.model == "pinhole"
     assert table.unknown.mount is not None
@@ -119,7 +117,7 @@ def test_the_example_of_the_readme_prints_the_true_pose(
     (tmp_path / "torchcal-demo").mkdir()
     T_world_base = write_small_demo(tmp_path / "torchcal-demo")
     monkeypatch.chdir(tmp_path)
-    exec(compile(example("python"), "README.md", "exec"), {})
+    exec(compile(examples("python")[0], "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert printed.startswith("converged")
     numbers = {name: float(sigma) for name, sigma in re.findall(r"(base\.\w+) ± ([\d.]+)", printed)}
@@ -128,3 +126,21 @@ def test_the_example_of_the_readme_prints_the_true_pose(
     rows = re.findall(r"\[+ *([-\d.e]+), +([-\d.e]+), +([-\d.e]+), +([-\d.e]+)\]", printed)
     found = np.asarray(rows, float)
     np.testing.assert_allclose(found, T_world_base.numpy(), atol=CLOSE)
+
+
+def test_the_readmes_example_with_points_finds_where_they_were_moved(
+    capsys: pytest.CaptureFixture[str],
+):
+    code = examples("python")[1]
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    poses = names["poses"]
+    assert isinstance(poses, torchcal.ElementPoses)
+    converged = poses.status == torchcal.ElementStatus.CONVERGED
+    assert int(converged.sum()) > 900
+    moved = poses.T_measured_model[converged]
+    expected = torch.eye(4, dtype=torch.float64)
+    expected[:3, 3] = 5.0
+    # Millimetres of noise on points within a metre of each other.
+    assert float((moved - expected).abs().flatten(1).amax(1).median()) < 0.01
+    assert "tensor" in capsys.readouterr().out

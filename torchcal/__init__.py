@@ -15,6 +15,10 @@ from typing import TYPE_CHECKING
 from torchcal.calibrate import calibrate as calibrate
 from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
+from torchcal.calibrate.element_pose import find_element_poses as find_element_poses
+from torchcal.calibrate.element_result import ElementPoses as ElementPoses
+from torchcal.calibrate.element_result import ElementStatus as ElementStatus
+from torchcal.calibrate.element_search import ElementSearch as ElementSearch
 from torchcal.calibrate.result import Calibration as Calibration
 from torchcal.calibrate.result import Estimate as Estimate
 from torchcal.calibrate.result import FrameComparison as FrameComparison
@@ -27,6 +31,9 @@ from torchcal.errors import JobError as JobError
 from torchcal.errors import TorchcalError as TorchcalError
 from torchcal.geometry.projection import Pinhole as Pinhole
 from torchcal.geometry.projection import Spherical as Spherical
+from torchcal.match.detection import every_candidate as every_candidate
+from torchcal.match.detection import nearest_candidate as nearest_candidate
+from torchcal.match.elements import Elements as Elements
 from torchcal.model.job import Job as Job
 from torchcal.model.read_job import read_job as read_job
 from torchcal.model.robot import Robot as Robot

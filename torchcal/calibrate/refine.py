@@ -17,7 +17,7 @@ from torchcal.geometry import robust
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift
 from torchcal.solve.field import SPACING
-from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, covariance, minimise
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, covariance, minimise, shared
 from torchcal.solve.image_equations import blockwise_scatter
 
 COARSE_SIDE = 60
@@ -89,7 +89,7 @@ def coarse_fit(
     solution = None
     for _ in range(2):
         fit = replace(fit, cutoff=min(_cutoff(fit, state) for state in states))
-        solution = minimise(fit.evaluate, parameters.retract, states, config)
+        solution = minimise(shared(fit.evaluate), parameters.retract, states, config)
         states = solution.state
     assert solution is not None, "there are two rounds"
     return solution
@@ -130,9 +130,9 @@ def fine_fit(
     config = GaussNewtonConfig(
         iterations=ITERATIONS, ripple=RIPPLE, longest=LONGEST, tolerance=TOLERANCE
     )
-    solution = minimise(fit.evaluate, parameters.retract, state[None], config)
+    solution = minimise(shared(fit.evaluate), parameters.retract, state[None], config)
     fit = with_noise(fit, solution.state[0], factor)
-    solution = minimise(fit.evaluate, parameters.retract, solution.state, config)
+    solution = minimise(shared(fit.evaluate), parameters.retract, solution.state, config)
     return Refined(state=solution.state[0], fit=fit, factor=factor, solution=solution)
 
 

@@ -12,7 +12,7 @@ from torchcal.calibrate.nearest_fit import NearestFit
 from torchcal.calibrate.observation import Observation
 from torchcal.calibrate.parameters import Parameters
 from torchcal.model.scene import Surface
-from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
 
 STARTS = 32
 """The nominal state and draws from the prior."""
@@ -38,7 +38,7 @@ def find_candidates(
             observation, surface, parameters, state, count=count, generator=generator
         )
         config = GaussNewtonConfig(iterations=15, ripple=0.01)
-        return minimise(fit.evaluate, parameters.retract, starts, config)
+        return minimise(shared(fit.evaluate), parameters.retract, starts, config)
 
     first = aligned(parameters.nominal, _starts(parameters, generator))
     starts = distinct(first.state, first.equations.cost, parameters)

@@ -6,7 +6,11 @@ radians and acts on the right, ``T @ exp(xi)``; covariances of poses are of that
 
 import torch
 from jaxtyping import Float
-from kornia.geometry.conversions import quaternion_to_axis_angle, rotation_matrix_to_quaternion
+from kornia.geometry.conversions import (
+    quaternion_to_axis_angle,
+    quaternion_to_rotation_matrix,
+    rotation_matrix_to_quaternion,
+)
 from torch import Tensor
 
 
@@ -19,10 +23,33 @@ def hat(w: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
 
 def exp(xi: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
     """The motion of a twist (m, rad)."""
-    generator = torch.zeros(*xi.shape[:-1], 4, 4, dtype=xi.dtype, device=xi.device)
-    generator[..., :3, :3] = hat(xi[..., 3:])
-    generator[..., :3, 3] = xi[..., :3]
-    return torch.linalg.matrix_exp(generator)
+    rho, w = xi[..., :3, None], xi[..., 3:]
+    a, b, c = _rotation_series(w.square().sum(-1)[..., None, None])
+    W = hat(w)
+    W_squared = W @ W
+    eye = torch.eye(3, dtype=xi.dtype, device=xi.device)
+    V_rho = rho + b * (W @ rho) + c * (W_squared @ rho)
+    return from_rotation_translation(eye + a * W + b * W_squared, V_rho[..., 0])
+
+
+def _rotation_series(squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """sin(x)/x, (1 - cos(x))/x^2 and (x - sin(x))/x^3, of x^2 and smooth at 0."""
+    small = squared < 1e-2  # the series' next terms are below 1e-16 there
+    x = torch.where(small, torch.ones_like(squared), squared).sqrt()
+    sine, versine = torch.sin(x), 2.0 * torch.sin(0.5 * x).square()
+
+    def series(first: float, step: int) -> Tensor:
+        term = total = torch.full_like(squared, first)
+        for k in range(step, step + 10, 2):
+            term = -term * squared / (k * (k + 1))
+            total = total + term
+        return total
+
+    return (
+        torch.where(small, series(1.0, 2), sine / x),
+        torch.where(small, series(1 / 2, 3), versine / x.square()),
+        torch.where(small, series(1 / 6, 4), (x - sine) / x**3),
+    )
 
 
 def log(T: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 6"]:
@@ -68,6 +95,12 @@ def from_rotation_translation(
     bottom = torch.zeros_like(top[..., :1, :])
     bottom[..., 3] = 1.0
     return torch.cat([top, bottom], -2)
+
+
+def random_rotations(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3 3"]:
+    """Uniformly distributed rotation matrices, in float64 on the CPU."""
+    quaternion = torch.randn(count, 4, dtype=torch.float64, generator=generator)
+    return quaternion_to_rotation_matrix(torch.nn.functional.normalize(quaternion, dim=-1))
 
 
 def from_xyz_rpy(

@@ -7,6 +7,7 @@ is accepted on the robust cost, the sum of rho, never on the weighted squares.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -79,58 +80,141 @@ class Solution:
 
 
 def minimise(
-    evaluate: Callable[[Tensor], NormalEquations],
+    evaluate: Callable[[Tensor, Tensor], NormalEquations],
     retract: Callable[[Tensor, Tensor], Tensor],
     state: Tensor,
     config: GaussNewtonConfig,
 ) -> Solution:
     """Minimises a batch of robust nonlinear least-squares problems (eq. 9 to 13).
 
+    Elements that have stopped are not evaluated any more.
+
     Args:
-        evaluate: Normal equations of a batch of states.
+        evaluate: Normal equations of some elements at the given states; the second argument says
+            which elements they are, so that each may have data of its own.
         retract: Moves a batch of states by steps ``(batch, parameter)``.
         state: Where to start, ``(batch, ...)``.
         config: Iterations, damping and stop.
     """
-    current = evaluate(state)
-    running = StopReason.ITERATIONS.value
-    stop = torch.where(_is_finite(current), running, StopReason.INVALID.value)
-    damping = torch.full_like(current.cost, config.damping)
-    iterations = torch.zeros_like(stop)
-    slopes = torch.zeros_like(current.cost).expand(2, -1)
+    whole = _started(state, evaluate, config)
+    element = torch.arange(len(state), device=state.device)
+    running = whole
     for _ in range(config.iterations):
-        active = stop == running
-        if not active.any():
+        keep = running.stop == StopReason.ITERATIONS
+        if not keep.all():
+            whole = whole.put(element, running)
+            element, running = element[keep], running.rows(keep)
+        if len(element) == 0:
             break
-        step, length = _damped_step(current, damping)
-        step = step / _curvature(slopes).clamp(min=1.0 / config.longest)[:, None]
-        trial_state = retract(state, torch.where(active[:, None], step, 0.0))
-        trial = evaluate(trial_state)
-        allowed = (1.0 + config.ripple) * current.cost
-        accept = active & length.isfinite() & _is_finite(trial) & (trial.cost <= allowed)
-        seen = accept & (length > 1.0)  # shorter steps see the ripple and not the curvature
-        slopes = slopes + torch.where(seen, _slopes(current, trial, step), 0.0)
-        slopes = torch.where(active & ~accept, 0.0, slopes)  # a rejected step is not lengthened
-        state = torch.where(_broadcast(accept, state), trial_state, state)
-        current = trial.where(accept, current)
-        damping = torch.where(accept, 0.1 * damping, 10.0 * damping).clamp(min=LEAST_DAMPING)
-        iterations = iterations + active
-        stop = torch.where(active & (damping > MOST_DAMPING), StopReason.STUCK.value, stop)
-        stop = torch.where(active & (length < config.tolerance), StopReason.CONVERGED.value, stop)
-    return Solution(state=state, equations=current, stop=stop, iterations=iterations)
+        running = _iterate(running, element, evaluate, retract, config)
+    whole = whole.put(element, running)
+    return Solution(
+        state=whole.state,
+        equations=whole.equations(),
+        stop=whole.stop,
+        iterations=whole.iterations,
+    )
+
+
+def shared(
+    evaluate: Callable[[Tensor], NormalEquations],
+) -> Callable[[Tensor, Tensor], NormalEquations]:
+    """What ``minimise`` evaluates where all elements have the same data."""
+    return lambda state, _element: evaluate(state)
+
+
+class _Progress(NamedTuple):
+    """Where some elements are; every tensor has a row for each of them."""
+
+    state: Tensor
+    cost: Tensor
+    information: Tensor
+    gradient: Tensor
+    damping: Tensor
+    slopes: Tensor
+    """How much the gradient fell in all steps, and how much the information said it would."""
+    stop: Tensor
+    iterations: Tensor
+
+    def rows(self, chosen: Tensor) -> "_Progress":
+        """Some of the elements."""
+        return _Progress(*(values[chosen] for values in self))
+
+    def put(self, index: Tensor, part: "_Progress") -> "_Progress":
+        """With the rows of some elements replaced."""
+        return _Progress(
+            *(all_.index_copy(0, index, some) for all_, some in zip(self, part, strict=True))
+        )
+
+    def equations(self) -> NormalEquations:
+        """At the state."""
+        return NormalEquations(cost=self.cost, information=self.information, gradient=self.gradient)
+
+
+def _started(
+    state: Tensor,
+    evaluate: Callable[[Tensor, Tensor], NormalEquations],
+    config: GaussNewtonConfig,
+) -> _Progress:
+    first = evaluate(state, torch.arange(len(state), device=state.device))
+    running, invalid = StopReason.ITERATIONS.value, StopReason.INVALID.value
+    stop = torch.where(_is_finite(first), running, invalid)
+    return _Progress(
+        state=state,
+        cost=first.cost,
+        information=first.information,
+        gradient=first.gradient,
+        damping=torch.full_like(first.cost, config.damping),
+        slopes=first.cost.new_zeros(len(state), 2),
+        stop=stop,
+        iterations=torch.zeros_like(stop),
+    )
+
+
+def _iterate(
+    now: _Progress,
+    element: Tensor,
+    evaluate: Callable[[Tensor, Tensor], NormalEquations],
+    retract: Callable[[Tensor, Tensor], Tensor],
+    config: GaussNewtonConfig,
+) -> _Progress:
+    """One step of every element, accepted on the sum of rho, and what it says about stopping."""
+    equations = now.equations()
+    step, length = _damped_step(equations, now.damping)
+    step = step / _curvature(now.slopes).clamp(min=1.0 / config.longest)[:, None]
+    state = retract(now.state, step)
+    trial = evaluate(state, element)
+    allowed = (1.0 + config.ripple) * now.cost
+    accept = length.isfinite() & _is_finite(trial) & (trial.cost <= allowed)
+    seen = accept & (length > 1.0)  # shorter steps see the ripple and not the curvature
+    slopes = now.slopes + torch.where(seen[:, None], _slopes(equations, trial, step), 0.0)
+    kept = trial.where(accept, equations)
+    damping = torch.where(accept, 0.1 * now.damping, 10.0 * now.damping).clamp(min=LEAST_DAMPING)
+    stop = torch.where(damping > MOST_DAMPING, StopReason.STUCK.value, now.stop)
+    return _Progress(
+        state=torch.where(_broadcast(accept, state), state, now.state),
+        cost=kept.cost,
+        information=kept.information,
+        gradient=kept.gradient,
+        damping=damping,
+        slopes=torch.where(accept[:, None], slopes, 0.0),  # a rejected step is not lengthened
+        stop=torch.where(length < config.tolerance, StopReason.CONVERGED.value, stop),
+        iterations=now.iterations + 1,
+    )
 
 
 def _slopes(before: NormalEquations, after: NormalEquations, step: Tensor) -> Tensor:
     """How much the gradient fell along each step, and how much the information says it should."""
     fell = ((before.gradient - after.gradient) * step).sum(-1)
     expected = ((before.information @ step[..., None])[..., 0] * step).sum(-1)
-    return torch.stack([fell, expected])
+    return torch.stack([fell, expected], -1)
 
 
 def _curvature(slopes: Tensor) -> Tensor:
     """The share of the expected fall that was seen; 1 before anything was seen."""
-    seen = slopes[1] > 0
-    return torch.where(seen, slopes[0] / torch.where(seen, slopes[1], 1.0), 1.0).clamp(0.02, 1.0)
+    fell, expected = slopes.unbind(-1)
+    seen = expected > 0
+    return torch.where(seen, fell / torch.where(seen, expected, 1.0), 1.0).clamp(0.02, 1.0)
 
 
 def covariance(

@@ -1,0 +1,17 @@
+"""Measure torchcal beside other programs; each measurement writes its section of benchmarks.md."""
+
+import tyro
+from benchmarks import render, solver
+
+COMMANDS = {
+    "solver": solver.measure,
+    "render": render.measure,
+}
+
+
+def main() -> None:
+    tyro.extras.subcommand_cli_from_dict(COMMANDS, description=__doc__)
+
+
+if __name__ == "__main__":
+    main()

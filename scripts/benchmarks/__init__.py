@@ -1,0 +1,1 @@
+"""The measurements of ``benchmark.py``, one module for each."""
