@@ -6,7 +6,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchcal.geometry.projection import Projection, Spherical
-from torchcal.render.squares import TILE, Squares, tiles_of
+from torchcal.render.squares import Squares, tile_numbers, tiles_of
 
 CLOSE = 1e-6
 """Corners nearer than this (m) to a pinhole's plane do not bound their face in the image."""
@@ -73,7 +73,7 @@ def tiles_of_points(
 ) -> Int[Tensor, "view row column 2"]:
     """The first point in each tile, and how many there are; points come tile after tile."""
     columns, rows = tiles_of(projection)
-    tile = (squares.view * rows + squares.v // TILE) * columns + squares.u // TILE
+    tile = tile_numbers(squares.view, squares.u, squares.v, projection)
     count = tile[square].bincount(minlength=views * rows * columns)
     return torch.stack([count.cumsum(0) - count, count], -1).view(views, rows, columns, 2)
 

@@ -4,14 +4,14 @@ Lines of equal y through the ends and the meetings of all pieces cut a square in
 that pass through a slab cut it into cells. Whatever is seen, the cells fill the square.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.render.machine_code import machine_code_for
 from torchcal.render.pieces import Pieces
+from torchcal.render.squares import Squares
 
 AT_ONCE = 1 << 21
 """Places for cells, most of them empty, that tensors have at a time: it bounds the memory."""
@@ -31,60 +31,25 @@ class Cells:
     right: Float[Tensor, "cell 2"]
     piece: Int[Tensor, " cell"]
     """The piece at the right, beyond which the next cell is; -1 at the square's border."""
+    ray: Float[Tensor, "cell 3"]
+    """Through a point inside the cell: its centroid, but for rounding."""
 
-    def centroids(self) -> tuple[Float[Tensor, " cell"], Float[Tensor, " cell"]]:
-        """Points (x, y) inside the cells, their centroids but for rounding."""
-        a, b = (self.right - self.left).unbind(1)
+    @staticmethod
+    def of(
+        square: Tensor, y: Tensor, left: Tensor, right: Tensor, piece: Tensor, squares: Squares
+    ) -> "Cells":
+        """Cells with their rays."""
+        a, b = (right - left).unbind(1)
         # The narrower of both sides counts half as much as the wider one, where it is a point.
-        share = ((a + 2.0 * b) / (3.0 * (a + b))).nan_to_num(0.5)
-        low, high = (0.5 * (self.left + self.right)).unbind(1)
-        start, end = self.y.unbind(1)
-        return low + share * (high - low), start + share * (end - start)
-
-    def select(self, keep: Tensor) -> "Cells":
-        """The cells to keep."""
-        return Cells(
-            square=self.square[keep],
-            y=self.y[keep],
-            left=self.left[keep],
-            right=self.right[keep],
-            piece=self.piece[keep],
-        )
-
-    def renumbered(self, kept: Bool[Tensor, " square"]) -> "Cells":
-        """The same after only these squares were kept."""
-        return replace(self, square=(kept.cumsum(0) - 1)[self.square])
+        share = torch.where(a + b > 0, (a + 2.0 * b) / (3.0 * (a + b)), 0.5)
+        (low, high), (start, end) = (0.5 * (left + right)).unbind(1), y.unbind(1)
+        ray = squares.rays(square, low + share * (high - low), start + share * (end - start))
+        return Cells(square=square, y=y, left=left, right=right, piece=piece, ray=ray)
 
 
-def joined(cells: Cells, others: Cells, pieces: int) -> tuple[Cells, Int[Tensor, " cell"]]:
-    """Cells of different squares in one order; what was where, the others after the first ones.
-
-    The pieces of the others are counted from ``pieces`` on.
-    """
-    order = torch.sort(torch.cat([cells.square, others.square]), stable=True).indices
-    piece = torch.where(others.piece < 0, -1, others.piece + pieces)
-    both = Cells(
-        square=torch.cat([cells.square, others.square]),
-        y=torch.cat([cells.y, others.y]),
-        left=torch.cat([cells.left, others.left]),
-        right=torch.cat([cells.right, others.right]),
-        piece=torch.cat([cells.piece, piece]),
-    )
-    return both.select(order), order
-
-
-def cells_of(pieces: Pieces, squares: int) -> Cells:
-    """Cuts all squares that have a piece at least.
-
-    On the CPU it is done in machine code where numba is installed, else by tensors: same answer.
-    """
-    module = machine_code_for(pieces.low, "splitting")
-    return plain_cells_of(pieces, squares) if module is None else module.cells_of(pieces, squares)
-
-
-def plain_cells_of(pieces: Pieces, squares: int) -> Cells:
-    """The same by tensor operations, on any device."""
-    count = pieces.square.bincount(minlength=squares)
+def cells_of(pieces: Pieces, squares: Squares) -> Cells:
+    """Cuts all squares that have a piece at least."""
+    count = pieces.square.bincount(minlength=len(squares.view))
     start = count.cumsum(0) - count
     width = 2 ** (count - 1).clamp(min=0).double().log2().floor().long().add(1)
     width = torch.where(count <= 1, count, width)
@@ -98,9 +63,7 @@ def plain_cells_of(pieces: Pieces, squares: int) -> Cells:
     ]
     square, y, left, right, piece = (torch.cat(part) for part in zip(*groups, strict=True))
     order = torch.sort(square, stable=True).indices
-    return Cells(
-        square=square[order], y=y[order], left=left[order], right=right[order], piece=piece[order]
-    )
+    return Cells.of(*(each[order] for each in (square, y, left, right, piece)), squares=squares)
 
 
 def _cells_of_group(

@@ -15,15 +15,11 @@ class Spread:
     uv: Float[Tensor, "*#batch 1"]
     vv: Float[Tensor, "*#batch 1"]
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RayTurns:
-    """How rays turn from pixel to pixel."""
-
-    to_u: Float[Tensor, "*#batch 3"]
-    to_v: Float[Tensor, "*#batch 3"]
-    curved: tuple[Tensor, Tensor, Tensor] | None
-    """Second derivatives to u twice, u and v, v twice; None: all are 0."""
+    @staticmethod
+    def of_square(like: Tensor) -> "Spread":
+        """Of a whole pixel."""
+        third = like.new_full((1,), 1.0 / 12.0)
+        return Spread(uu=third, uv=torch.zeros_like(third), vv=third)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,29 +45,29 @@ class Hits:
             range=self.range.masked_fill(outside, 0.0),
         )
 
-    def averaged(self, spread: Spread, turns: RayTurns) -> "Hits":
+    def averaged(
+        self, spread: Spread, to_u: Float[Tensor, "*#batch 3"], to_v: Float[Tensor, "*#batch 3"]
+    ) -> "Hits":
         """The mean ranges over regions whose centroids the rays see, and their derivatives.
 
         With w = n . ray and the range 1 / w but for a factor, it is the second order of the mean.
+
+        Args:
+            spread: Of the regions.
+            to_u: How rays turn from column to column.
+            to_v: And from row to row.
         """
-        to_u, to_v = turns.to_u, turns.to_v
         scale = self.scale[..., None]
         normal = self.normal * scale
         slope_u, slope_v = dot(normal, to_u)[..., None], dot(normal, to_v)[..., None]
         across_u = spread.uu * slope_u + spread.uv * slope_v
         across_v = spread.uv * slope_u + spread.vv * slope_v
-        turn = across_u * to_u + across_v * to_v
-        if turns.curved is not None:
-            uu, uv, vv = turns.curved
-            curve = 0.5 * (spread.uu * uu + spread.vv * vv) + spread.uv * uv
-            turn, twice = turn - curve, 2.0 * turn - curve
-        else:
-            twice = 2.0 * turn
-        gain = 1.0 + dot(normal, turn)[..., None]
-        total = gain + dot(normal, twice)[..., None]
+        twice = 2.0 * (across_u * to_u + across_v * to_v)
+        excess = across_u * slope_u + across_v * slope_v
+        gain = 1.0 + excess
         return replace(
             self,
-            rays=(total * self.rays - twice) / gain.square(),
+            rays=((gain + 2.0 * excess) * self.rays - twice) / gain.square(),
             scale=self.scale * gain[..., 0],
             range=self.range * gain[..., 0],
         )

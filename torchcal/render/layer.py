@@ -6,9 +6,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.render.facets import Hits, dot
+from torchcal.geometry.projection import pixel_grid
+from torchcal.model.sensor import Sensor
+from torchcal.render.facets import Facets, Spread
 from torchcal.render.motion import BodyMotion
-from torchcal.render.regions import Regions, Rims
+from torchcal.render.soup import Views
 from torchcal.render.squares import Squares
 
 
@@ -26,85 +28,69 @@ class Layer:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BorderPlanes:
-    """The planes through the sensor that hold the borders."""
+class Sums:
+    """Integrals over squares, as in ``Layer``, and their derivatives to the parameters."""
 
-    normal: Float[Tensor, "border 3"]
-    """first x last: not normalised."""
-    along: Float[Tensor, "border 3"]
-    """From the first end to the last one (m)."""
-    body: Int[Tensor, " border"]
+    total: Float[Tensor, " square"]
+    area: Float[Tensor, " square"]
+    total_derivative: Float[Tensor, "square parameter"]
+    area_derivative: Float[Tensor, "square parameter"]
 
-    def values(self, rims: Rims, lever: Float[Tensor, "rim 3"]) -> Float[Tensor, " rim"]:
-        """Normal . lever: 0, but its derivative is not."""
-        return dot(self.normal[rims.border], lever)
-
-    def twist_derivatives(
-        self, rims: Rims, lever: Float[Tensor, "rim 3"]
-    ) -> Float[Tensor, "rim 6"]:
-        """Derivative of ``values`` to the motion of the border, a twist in the sensor's frame."""
-        along, normal = self.along[rims.border], self.normal[rims.border]
-        return torch.cat([torch.linalg.cross(along, lever), torch.linalg.cross(normal, lever)], -1)
+    @staticmethod
+    def split(sums: Float[Tensor, "square sum"]) -> "Sums":
+        """From the columns total, area, and the derivatives of both."""
+        count = (sums.shape[1] - 2) // 2
+        total, area, to_total, to_area = sums.split([1, 1, count, count], 1)
+        return Sums(
+            total=total[:, 0], area=area[:, 0], total_derivative=to_total, area_derivative=to_area
+        )
 
 
-def hard_layer(face: Int[Tensor, "view h w"], hits: Hits, motion: BodyMotion | None) -> Layer:
-    """The layer as if every pixel were filled by the face that its central ray meets."""
-    views, height, width = face.shape
-    derivative = hits.range.new_zeros(views, 0, height, width)
-    if motion is not None:
-        derivative = motion.of_images(hits.twist_derivatives(), face)
-    area = (face >= 0).to(hits.range)
-    return Layer(total=hits.range, area=area, total_derivative=derivative)
-
-
-def with_regions(
-    layer: Layer,
-    squares: Squares,
-    regions: Regions,
-    hits: Hits,
-    rims: Rims,
-    planes: BorderPlanes,
-    motion: BodyMotion | None,
-) -> Layer:
-    """Fills the squares by regions and lets these move with their rims.
+def hard_layer(face: Int[Tensor, "view h w"], views: Views, motion: BodyMotion | None) -> Layer:
+    """The layer as if every pixel were filled by the face that its central ray meets.
 
     Args:
-        layer: The layer in which every pixel shows one face.
-        squares: The pixels to fill.
-        regions: What they show.
-        hits: The mean ranges of the regions.
-        rims: Where regions end.
-        planes: Of the borders.
+        face: Of the triangles of all views; -1 where there is none.
+        views: What is seen from where.
         motion: How bodies move with the parameters.
     """
-    filled = regions.area.to(hits.range)
-    met = (hits.scale != 0).to(hits.range) * filled
+    sensor = views.sensor
+    ray, to_u, to_v = _pixel_frames(sensor, views.vertices)
+    hits = Facets.of(views.vertices, views.surface.faces).at(face, ray)
+    if sensor.beam > 0:
+        hits = hits.averaged(Spread.of_square(ray), to_u, to_v)
+    hits = hits.between(sensor.near, sensor.far)
+    change = hits.range.new_zeros(views.count, 0, *face.shape[1:])
+    if motion is not None:
+        change = motion.of_images(hits.twist_derivatives(), face)
+    return Layer(total=hits.range, area=(hits.scale != 0).to(hits.range), total_derivative=change)
 
-    def summed(of_regions: Tensor, of_rims: Tensor) -> Tensor:
-        zeros = of_regions.new_zeros(len(squares.view), *of_regions.shape[1:])
-        of_rims = of_rims.to(zeros)
-        return zeros.index_add(0, regions.square, of_regions).index_add(0, rims.square, of_rims)
 
+def _pixel_frames(
+    sensor: Sensor, like: Tensor
+) -> tuple[Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Float[Tensor, "h w 3"]]:
+    """The rays of all pixels and how they turn from column to column and from row to row.
+
+    A pixel's area sees the mean of its rays, an ideal ray the middle.
+    """
+    projection = sensor.projection
+    u, v = pixel_grid(projection, dtype=like.dtype, device=like.device)
+    rays, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
+    if sensor.beam > 0 and curves is not None:
+        rays = rays + (curves[0] + curves[2]) / 24.0
+    return rays, *projection.ray_derivatives(u, v)
+
+
+def with_squares(layer: Layer, squares: Squares, sums: Sums) -> Layer:
+    """Puts the integrals of some pixels in the place of those with one face only."""
     place = (squares.view, squares.v, squares.u)
-    total = summed(hits.range * filled, planes.values(rims, rims.total_lever))
-    area = summed(met, planes.values(rims, rims.area_lever))
-    total = layer.total.index_put(place, total.to(layer.total))
-    area = layer.area.index_put(place, area.to(layer.area))
-    if motion is None:
-        return Layer(total=total, area=area, total_derivative=layer.total_derivative)
-    view = squares.view[rims.square]
-
-    def of_rims(lever: Tensor) -> Tensor:
-        twists = planes.twist_derivatives(rims, lever).to(hits.range)
-        return motion.of_bodies(twists, planes.body[rims.border], view)
-
-    twists = hits.twist_derivatives().mT * filled[:, None]
-    inner = motion.of_faces(twists, regions.face, squares.view[regions.square])
-    change = _put(layer.total_derivative, place, summed(inner, of_rims(rims.total_lever)))
-    if not rims.area_lever.any():
-        return Layer(total=total, area=area, total_derivative=change)
-    lost = summed(torch.zeros_like(inner), of_rims(rims.area_lever))
-    lost = _put(torch.zeros_like(layer.total_derivative), place, lost)
+    total = layer.total.index_put(place, sums.total.to(layer.total))
+    area = layer.area.index_put(place, sums.area.to(layer.area))
+    change = _put(layer.total_derivative, place, sums.total_derivative)
+    lost = layer.area_derivative
+    if lost is not None or sums.area_derivative.any():
+        lost = torch.zeros_like(change) if lost is None else lost
+        lost = _put(lost, place, sums.area_derivative)
     return Layer(total=total, area=area, total_derivative=change, area_derivative=lost)
 
 

@@ -7,14 +7,16 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection
-from torchcal.model.scene import Surface
 from torchcal.render.facets import dot
 from torchcal.render.machine_code import machine_code_for
 from torchcal.render.silhouette import Strokes, strokes_of
+from torchcal.render.soup import Views
 from torchcal.render.squares import Squares, spread, square_numbers
 
-MANY = 32
+MANY = 16
 """Squares with more pieces than this do without those of creases."""
+MOST = 64
+"""Pieces of silhouettes in a square beyond this many are left out."""
 BEHIND = 1e-3
 """Relative: a piece is behind a face where its range is greater by more than this. Where a body
 stands on another one its edges count, even if it has sunk in a little."""
@@ -67,21 +69,16 @@ class Pieces:
 
 
 def find_pieces(
-    lines: Lines,
-    face: Int[Tensor, "view h w"],
-    vertices: Float[Tensor, "vertex 3"],
-    surface: Surface,
-    projection: Projection,
+    lines: Lines, face: Int[Tensor, "view h w"], views: Views
 ) -> tuple[Squares, Pieces]:
     """The pieces of all lines but for those behind a face that fills their square.
 
     Args:
         lines: Borders and seams.
-        face: The face at the centre of every pixel.
-        vertices: Points in the sensor's frame of their view (m), in double precision.
-        surface: The triangles of all views, see ``soup.py``.
-        projection: The sensor's optics.
+        face: The face at the centre of every pixel, of the triangles of all views.
+        views: In double precision.
     """
+    vertices, surface, projection = views.vertices, views.surface, views.sensor.projection
     strokes = strokes_of(lines.ends, projection)
     number, line = _crossed_squares(strokes, lines.view, projection)
     number, square = torch.unique_consecutive(number, return_inverse=True)
@@ -91,6 +88,9 @@ def find_pieces(
     pieces = _seen(lines.ends, lines.jumps, squares, square, line, corners)
     count = pieces.square.bincount(minlength=len(number))
     pieces = pieces.select(pieces.jumps | (count[pieces.square] <= MANY))
+    count = pieces.square.bincount(minlength=len(number))
+    place = torch.arange(len(pieces.square), device=count.device)
+    pieces = pieces.select(place - (count.cumsum(0) - count)[pieces.square] < MOST)
     kept, square = torch.unique_consecutive(pieces.square, return_inverse=True)
     return squares.select(kept), Pieces(
         square=square,
@@ -108,28 +108,43 @@ def with_seams(
     square: Int[Tensor, " seam"],
     ends: Float[Tensor, "seam 2 3"],
     seam: int,
-) -> Pieces:
-    """All pieces of some squares and those of seams, which are counted from ``seam`` on, in order.
+) -> tuple[Int[Tensor, " cut"], Squares, Pieces]:
+    """Which squares seams cut, these squares, and all pieces in them with those of the seams.
 
     Args:
         pieces: Known pieces of all squares.
         squares: The pixels.
         square: The squares of the seams, in order.
         ends: Two points (m) of each.
-        seam: Number of the first one.
+        seam: Number of the first one: that of lines before them.
     """
     order = torch.arange(len(square), device=square.device)
     found = _clipped(ends, order < 0, squares, square, order)
     found = replace(found, line=found.line + seam)
-    own = pieces.select(torch.isin(pieces.square, found.square))
+    cut = torch.zeros_like(squares.view, dtype=torch.bool)
+    cut[found.square] = True
+    own = pieces.select(cut[pieces.square])
     joined = own.and_then(found)
-    return joined.select(torch.sort(joined.square, stable=True).indices)
+    kept, of_joined = torch.unique(joined.square, return_inverse=True)
+    joined = replace(joined, square=of_joined)
+    return kept, squares.select(kept), joined.select(torch.sort(of_joined, stable=True).indices)
 
 
 def _crossed_squares(
     strokes: Strokes, view: Tensor, projection: Projection
 ) -> tuple[Tensor, Tensor]:
     """Pairs of a pixel's number and a line whose stroke may cross it, each once, in order."""
+    module = machine_code_for(strokes.start, "pieces")
+    of_strokes = crossed_pixels if module is None else module.crossed_pixels
+    stroke, u, v = of_strokes(strokes, projection)
+    line = strokes.line[stroke]
+    number = square_numbers(view[line], u, v, projection)
+    key = torch.unique(number * (len(view) + 1) + line)
+    return key // (len(view) + 1), key % (len(view) + 1)
+
+
+def crossed_pixels(strokes: Strokes, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
+    """Strokes and the columns and rows of the pixels that they may cross, row after row."""
     margin = strokes.margin
     delta = strokes.end - strokes.start
     low, high = (pick(strokes.start, strokes.end) for pick in (torch.minimum, torch.maximum))
@@ -137,7 +152,7 @@ def _crossed_squares(
     stroke, order = spread(count)
     row = first[stroke] + order
     # Between the borders of its row the stroke spans these columns.
-    slope = (delta[:, 0] / delta[:, 1]).nan_to_num(0.0, 0.0, 0.0)[stroke]
+    slope = torch.where(delta[:, 1] == 0, 0.0, delta[:, 0] / delta[:, 1])[stroke]
     reach = (0.5 + margin)[stroke]
     ends = []
     for side in (row - reach, row + reach):
@@ -149,10 +164,7 @@ def _crossed_squares(
     right = torch.where(level, high[stroke, 0], torch.maximum(*ends)) + margin[stroke]
     first, count = _pixels_between(left, right, projection.width)
     item, order = spread(count)
-    line = strokes.line[stroke[item]]
-    number = square_numbers(view[line], first[item] + order, row[item], projection)
-    key = torch.unique(number * (len(view) + 1) + line)
-    return key // (len(view) + 1), key % (len(view) + 1)
+    return stroke[item], first[item] + order, row[item]
 
 
 def _pixels_between(low: Tensor, high: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -169,7 +181,7 @@ def _seen(
 
     On the CPU it is done in machine code where numba is installed, else by tensors.
     """
-    module = machine_code_for(ends, "clipping")
+    module = machine_code_for(ends, "pieces")
     if module is None:
         pieces = _clipped(ends, jumps, squares, square, line)
         return pieces.select(~_hidden(pieces, squares, corners))

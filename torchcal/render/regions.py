@@ -1,19 +1,21 @@
 """Regions: what each face fills of a square; and the rims along which regions meet at a jump."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchcal.geometry.projection import Projection
-from torchcal.model.scene import Surface
-from torchcal.model.sensor import Sensor
-from torchcal.render.cells import Cells
-from torchcal.render.facets import Facets, Hits, RayTurns, Spread, dot
-from torchcal.render.pieces import Pieces
+from torchcal.render.cells import Cells, cells_of
+from torchcal.render.facets import Facets, dot
+from torchcal.render.machine_code import machine_code_for
+from torchcal.render.pieces import Pieces, with_seams
+from torchcal.render.seams import seams_missed
 from torchcal.render.silhouette import Borders
+from torchcal.render.soup import Views
 from torchcal.render.squares import Squares
+from torchcal.render.zbuffer import faces_at_points
 
 SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
 """Gauss's points of a span from 0 to 1, each of weight 1/2: exact to the third order."""
@@ -30,7 +32,23 @@ class Regions:
     """Pixels."""
     centroid: Float[Tensor, "region 2"]
     """(x, y) from the middle of the pixel."""
-    spread: Spread
+    spread: Float[Tensor, "region 3"]
+    """Second moments (xx, xy, yy) about the centroid, over the area (pixels^2)."""
+
+    @staticmethod
+    def of(square: Tensor, face: Tensor, moments: Float[Tensor, "region 6"]) -> "Regions":
+        """From the integrals of 1, x, y, x^2, x y and y^2."""
+        area, x, y, xx, xy, yy = moments.unbind(-1)
+        filled = area > 0
+        safe = torch.where(filled, area, 1.0)
+        x, y, xx, xy, yy = (each / safe for each in (x, y, xx, xy, yy))
+        return Regions(
+            square=square,
+            face=face.where(filled, -1),
+            area=area,
+            centroid=torch.stack([x, y], -1),
+            spread=torch.stack([xx - x * x, xy - x * y, yy - y * y], -1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,78 +65,108 @@ class Rims:
     area_lever: Float[Tensor, "rim 3"]
 
 
-def shows_several(
-    cells: Cells, face: Int[Tensor, " cell"], squares: int
-) -> Bool[Tensor, " square"]:
-    """The squares in which more than one face is seen."""
-    other = (face[1:] != face[:-1]) & (cells.square[1:] == cells.square[:-1])
-    several = torch.zeros(squares, dtype=torch.bool, device=face.device)
-    several[cells.square[1:][other]] = True
-    return several
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Divided:
+    """Squares and what they are divided into."""
+
+    squares: Squares
+    regions: Regions
+    """In the order of the squares."""
+    rims: Rims
+    """In the order of the squares."""
 
 
-def regions_of(cells: Cells, face: Int[Tensor, " cell"]) -> Regions:
-    """Joins neighbouring cells that show the same face."""
-    begins = torch.ones_like(face, dtype=torch.bool)
-    begins[1:] = (cells.square[1:] != cells.square[:-1]) | (face[1:] != face[:-1])
-    first, region = torch.nonzero(begins)[:, 0], begins.cumsum(0) - 1
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Shown:
+    """Squares, the cells that they are cut into, and the face that is seen in each cell."""
+
+    squares: Squares
+    pieces: Pieces
+    """The sides of the cells."""
+    cells: Cells
+    face: Int[Tensor, " cell"]
+    """-1 where the model is empty."""
+
+
+Part = TypeVar("Part", Regions, Rims)
+
+
+def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> Divided:
+    """Divides squares among the faces that are seen in them.
+
+    On the CPU it is done in machine code where numba is installed, else by tensors.
+
+    Args:
+        squares: The pixels that lines cross.
+        pieces: The lines' parts in them.
+        borders: What the first lines are; all others are seams.
+        views: Not traced, in double precision.
+    """
+    module = machine_code_for(views.vertices, "regions")
+    divided_by = plain_divide if module is None else module.divide
+    return divided_by(squares, pieces, borders, views)
+
+
+def plain_divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> Divided:
+    """The same by tensor operations, on any device."""
+    shown = _shown(squares, pieces, views)
+    regions, rims = regions_of(shown), rims_of(shown, borders, views)
+    square, ends = seams_missed(shown.cells, shown.face, views.vertices, views.surface)
+    if len(square):
+        first_seam = int(pieces.line.max()) + 1 + len(borders.edge)
+        cut, *parts = with_seams(pieces, squares, square, ends, first_seam)
+        again = _shown(*parts, views)
+        whole = torch.ones_like(squares.view, dtype=torch.bool)
+        whole[cut] = False
+        regions = _replaced(regions, whole, regions_of(again), cut)
+        rims = _replaced(rims, whole, rims_of(again, borders, views), cut)
+    return Divided(squares=squares, regions=regions, rims=rims)
+
+
+def _shown(squares: Squares, pieces: Pieces, views: Views) -> Shown:
+    cells, projection = cells_of(pieces, squares), views.sensor.projection
+    points, faces = views.vertices.view(views.count, -1, 3), views.own_faces
+    face = faces_at_points(points, faces, projection, squares, cells.square, cells.ray)
+    start = len(faces) * squares.view[cells.square]
+    face = torch.where(face < 0, face, face + start)
+    return Shown(squares=squares, pieces=pieces, cells=cells, face=face)
+
+
+def _replaced(
+    old: Part, whole: Bool[Tensor, " square"], new: Part, cut: Int[Tensor, " cut"]
+) -> Part:
+    """Those of whole squares, and others in the squares that were cut again; in order."""
+    keep = whole[old.square]
+    square = torch.cat([old.square[keep], cut[new.square]])
+    order = torch.sort(square, stable=True).indices
+
+    def joined(name: str) -> Tensor:
+        return torch.cat([getattr(old, name)[keep], getattr(new, name)])[order]
+
+    names = [each.name for each in fields(old) if each.name != "square"]
+    return type(old)(square=square[order], **{name: joined(name) for name in names})
+
+
+def regions_of(shown: Shown) -> Regions:
+    """Joins the cells of a square that show the same face."""
+    cells = shown.cells
+    pair = torch.stack([cells.square, shown.face], -1)
+    pair, region = torch.unique(pair, dim=0, return_inverse=True)
     moments = torch.stack(_moments(cells), -1)
-    moments = moments.new_zeros(len(first), 6).index_add(0, region, moments)
-    area, x, y, xx, xy, yy = moments.unbind(-1)
-    filled = area > 0
-    safe = torch.where(filled, area, 1.0)
-    x, y, xx, xy, yy = (each / safe for each in (x, y, xx, xy, yy))
-    return Regions(
-        square=cells.square[first],
-        face=face[first].where(filled, -1),
-        area=area,
-        centroid=torch.stack([x, y], -1),
-        spread=Spread(uu=(xx - x * x)[:, None], uv=(xy - x * y)[:, None], vv=(yy - y * y)[:, None]),
-    )
+    moments = moments.new_zeros(len(pair), 6).index_add(0, region, moments)
+    return Regions.of(pair[:, 0], pair[:, 1], moments)
 
 
-def range_of_regions(
-    regions: Regions,
-    squares: Squares,
-    vertices: Float[Tensor, "vertex 3"],
-    surface: Surface,
-    projection: Projection,
-) -> Hits:
-    """The mean ranges of regions, and their derivatives."""
-    u = (squares.u[regions.square] + regions.centroid[:, 0]).to(vertices)
-    v = (squares.v[regions.square] + regions.centroid[:, 1]).to(vertices)
-    spread = Spread(
-        uu=regions.spread.uu.to(u), uv=regions.spread.uv.to(u), vv=regions.spread.vv.to(u)
-    )
-    facets = Facets.of(vertices, surface.faces[regions.face.clamp(min=0)])
-    index = torch.arange(len(u), device=u.device).where(regions.face >= 0, -1)
-    to_u, to_v = projection.ray_derivatives(u, v)
-    turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
-    return facets.at(index, projection.rays(u, v)).averaged(spread, turns)
-
-
-def rims_of(
-    cells: Cells,
-    face: Int[Tensor, " cell"],
-    pieces: Pieces,
-    squares: Squares,
-    vertices: Float[Tensor, "vertex 3"],
-    surface: Surface,
-    borders: Borders,
-    sensor: Sensor,
-) -> Rims:
+def rims_of(shown: Shown, borders: Borders, views: Views) -> Rims:
     """The rims between cells of different faces.
 
     Args:
-        cells: All cells.
-        face: What is seen in them.
-        pieces: Their sides.
-        squares: Where they are.
-        vertices: Points (m) in the sensor's frame of their view.
-        surface: The triangles of all views.
+        shown: The cells, and what is seen in them.
         borders: The lines that they are parts of; all others are seams.
-        sensor: Its optics, and its limits beyond which there is no return.
+        views: The sensor has limits beyond which there is no return.
     """
+    squares, pieces, cells, face = shown.squares, shown.pieces, shown.cells, shown.face
+    vertices, surface = views.vertices, views.surface
     left = torch.nonzero((cells.piece >= 0) & (face != face.roll(-1)))[:, 0]
     # Seams move with two bodies, but the range does not jump there.
     left = left[pieces.line[cells.piece[left]] < len(borders.edge)]
@@ -132,7 +180,7 @@ def rims_of(
     delta = end - start
     first, last = vertices[surface.edges[borders.edge[pieces.line[piece]]]].unbind(1)
     m = torch.linalg.cross(first, last - first)
-    projection, limits = sensor.projection, (sensor.near, sensor.far)
+    limits = (views.sensor.near, views.sensor.far)
     to_u, to_v = dot(m, squares.along_u[square]), dot(m, squares.along_v[square])
     # How far the left cell's area reaches beyond the line when m . ray rises by 1.
     rate = -delta.square().sum(-1) / (to_u * delta[:, 1] - to_v * delta[:, 0])
@@ -140,13 +188,9 @@ def rims_of(
     planes = [Facets.of(vertices, surface.faces[face[k].clamp(min=0)]) for k in (left, left + 1)]
     own = torch.arange(len(left), device=left.device)
     own = [own.where(face[k] >= 0, -1) for k in (left, left + 1)]
-    u, v = squares.u[square], squares.v[square]
     for share in SHARES:
-        x, y = (start + share * delta).unbind(-1)
-        true_rays, rays = projection.rays(u + x, v + y), squares.rays(square, x, y)
-        hits = [
-            plane.at(k, true_rays).between(*limits) for plane, k in zip(planes, own, strict=True)
-        ]
+        rays = squares.rays(square, *(start + share * delta).unbind(-1))
+        hits = [plane.at(k, rays).between(*limits) for plane, k in zip(planes, own, strict=True)]
         jump = hits[0].range - hits[1].range
         gained = (hits[0].scale != 0).to(m) - (hits[1].scale != 0).to(m)
         total = total + (0.5 * rate * jump)[:, None] * rays

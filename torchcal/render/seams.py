@@ -4,10 +4,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.geometry.projection import Projection
 from torchcal.model.scene import Surface
 from torchcal.render.cells import Cells
 from torchcal.render.facets import Facets, dot
+from torchcal.render.soup import Views
 from torchcal.render.squares import spread
 
 CLOSE = 1e-6
@@ -17,23 +17,18 @@ LENGTH = 1e3
 
 
 def seams_of(
-    face: Int[Tensor, "view h w"],
-    vertices: Float[Tensor, "vertex 3"],
-    surface: Surface,
-    projection: Projection,
+    face: Int[Tensor, "view h w"], views: Views
 ) -> tuple[Float[Tensor, "seam 2 3"], Int[Tensor, " seam"]]:
     """The seams that somewhere pass between the centres of neighbouring pixels, and their views.
 
     Args:
-        face: The face at the centre of every pixel.
-        vertices: Points in the sensor's frame of their view (m), in double precision.
-        surface: The triangles of all views.
-        projection: The sensor's optics.
+        face: The face at the centre of every pixel, of the triangles of all views.
+        views: In double precision.
     """
-    found = [_between(face, along_u, vertices, surface, projection) for along_u in (True, False)]
+    found = [_between(face, along_u, views) for along_u in (True, False)]
     pairs = torch.unique(torch.cat(found), dim=0)
-    ends = _ends(pairs, vertices, surface)
-    return _within(ends, pairs, vertices, surface), pairs[:, 0] // (len(surface.faces) // len(face))
+    ends = _ends(pairs, views.vertices, views.surface)
+    return _within(ends, pairs, views.vertices, views.surface), pairs[:, 0] // len(views.own_faces)
 
 
 def _within(ends: Tensor, pairs: Tensor, vertices: Tensor, surface: Surface) -> Tensor:
@@ -78,27 +73,26 @@ def seams_missed(
     right = torch.minimum(cells.right[lower, 1], cells.right[upper, 0])
     differ = (pair[:, 0] != pair[:, 1]) & (pair >= 0).all(-1) & (right - left > CLOSE)
     lower, pair = lower[differ], pair[differ].sort(-1).values
-    strangers = _strangers(pair, surface)
-    key = torch.cat([cells.square[lower, None], pair], -1)[strangers].unique(dim=0)
-    return key[:, 0], _ends(key[:, 1:], vertices, surface)
+    strangers = _strangers(pair, surface.faces)
+    found = torch.cat([cells.square[lower, None], pair], -1)[strangers].unique(dim=0)
+    return found[:, 0], _ends(found[:, 1:], vertices, surface)
 
 
-def _strangers(pair: Tensor, surface: Surface) -> Tensor:
+def _strangers(pair: Tensor, faces: Tensor) -> Tensor:
     """Pairs of faces without a common vertex."""
-    corners = surface.faces[pair]
+    corners = faces[pair]
     return (corners[:, 0, :, None] != corners[:, 1, None]).flatten(1).all(-1)
 
 
-def _between(
-    face: Tensor, along_u: bool, vertices: Tensor, surface: Surface, projection: Projection
-) -> Tensor:
+def _between(face: Tensor, along_u: bool, views: Views) -> Tensor:
     """Pairs of faces that meet between two neighbouring centres."""
+    vertices, surface, projection = views.vertices, views.surface, views.sensor.projection
     du, dv = (1, 0) if along_u else (0, 1)
     height, width = face.shape[1:]
     one, other = face[:, : height - dv, : width - du], face[:, dv:, du:]
     view, v, u = torch.nonzero((one != other) & (one >= 0) & (other >= 0), as_tuple=True)
     pair = torch.stack([one[view, v, u], other[view, v, u]], -1)
-    strangers = _strangers(pair, surface)
+    strangers = _strangers(pair, surface.faces)
     view, v, u, pair = view[strangers], v[strangers], u[strangers], pair[strangers]
     rays = [projection.rays((u + k * du).double(), (v + k * dv).double()) for k in (0, 1)]
     meet = torch.nonzero(_meet(pair, rays, vertices, surface))[:, 0]

@@ -15,6 +15,7 @@ from torch import Tensor
 from torchcal.geometry.projection import Projection, Spherical
 from torchcal.model.scene import Surface
 from torchcal.render.facets import Facets, dot
+from torchcal.render.soup import Views
 
 CLOSE = 1e-6
 """Strokes of edges are clipped at this depth (m) before a pinhole."""
@@ -48,17 +49,20 @@ class Strokes:
     """Pixels by which it may leave the straight line."""
 
 
-def borders_of(
-    vertices: Float[Tensor, "vertex 3"], surface: Surface, facets: Facets, projection: Projection
-) -> Borders:
-    """Silhouettes, and creases that matter; vertices in the sensor's frame (m)."""
+def borders_of(views: Views) -> Borders:
+    """Silhouettes, and creases that matter, of all views."""
+    vertices, surface, projection = views.vertices, views.surface, views.sensor.projection
     first, last = (vertices.index_select(0, end) for end in surface.edges.unbind(1))
     plane = torch.linalg.cross(first, last - first)
     sides = [_side(k, plane, vertices, surface) for k in (0, 1)]
     open_border = surface.edge_faces[:, 1] < 0
     jumps = open_border | (sides[0] * sides[1] > 0)
     far = torch.maximum(projection.ranges(first).abs(), projection.ranges(last).abs())
-    bends = _inverse_bend(surface, facets) * far * _pixel_size(projection) > 8.0 * BEND
+    # In a pixel's own mean a crease through its middle changes an eighth of this.
+    bend = (
+        _inverse_bend(surface, Facets.of(vertices, surface.faces)) * far * _pixel_size(projection)
+    )
+    bends = bend > 8.0 * BEND
     edge = torch.nonzero(jumps | (bends & ~open_border))[:, 0]
     return Borders(edge=edge, jumps=jumps[edge])
 

@@ -15,7 +15,7 @@ from torchcal.geometry.projection import Projection
 
 TILT = 1.2345e-6
 """Slope of the lines of equal y: no edge is parallel to them, upright cameras have level ones."""
-TILE = 16
+TILE = 8
 """Side (pixels) of the tiles by which squares are ordered."""
 _GAUSS = 12**-0.5
 
@@ -82,9 +82,19 @@ def square_numbers(
     projection: Projection,
 ) -> Int[Tensor, "*batch"]:
     """Numbers of pixels, counted view after view and tile after tile."""
-    columns, rows = tiles_of(projection)
-    tile = (view * rows + v // TILE) * columns + u // TILE
+    tile = tile_numbers(view, u, v, projection)
     return (tile * TILE + v % TILE) * TILE + u % TILE
+
+
+def tile_numbers(
+    view: Int[Tensor, "*batch"],
+    u: Int[Tensor, "*batch"],
+    v: Int[Tensor, "*batch"],
+    projection: Projection,
+) -> Int[Tensor, "*batch"]:
+    """Numbers of the tiles in which pixels are, counted view after view."""
+    columns, rows = tiles_of(projection)
+    return (view * rows + v // TILE) * columns + u // TILE
 
 
 def spread(count: Int[Tensor, " item"]) -> tuple[Int[Tensor, " entry"], Int[Tensor, " entry"]]:

@@ -11,16 +11,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
-from torchcal.render.facets import Facets, RayTurns, Spread
 from torchcal.render.layer import Layer, hard_layer
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
 from torchcal.render.sharing import share_pixels
-from torchcal.render.soup import in_soup, soup_of_views
+from torchcal.render.soup import Views, in_soup, soup_of_views
 from torchcal.render.visibility import visible_faces
 
 MET = 1e-3
@@ -114,30 +112,21 @@ def _synthesise_views(
     projection = sensor.projection
     vertices = place_vertices(surface, Ts_sensor_body)
     face = visible_faces(vertices, surface.faces, projection)
-    soup = soup_of_views(surface, *Ts_sensor_body.shape[:2])
-    vertices = vertices.flatten(0, 1)
-    facets = Facets.of(vertices, soup.faces)
-    u, v = pixel_grid(projection, dtype=vertices.dtype, device=vertices.device)
-    hits = facets.at(in_soup(face, len(surface.faces)), projection.rays(u, v))
-    # Faces nearer or farther than the sensor measures give no return.
-    hits = hits.between(sensor.near, sensor.far)
-    face = face.masked_fill(hits.scale == 0, -1)
+    views = Views(
+        sensor=sensor,
+        count=len(vertices),
+        vertices=vertices.flatten(0, 1),
+        surface=soup_of_views(surface, *Ts_sensor_body.shape[:2]),
+    )
     soup_face = in_soup(face, len(surface.faces))
-    moving = None if motion is None else BodyMotion.of(motion, soup)
-    if sensor.beam > 0:
-        hits = hits.averaged(*_whole_pixels(u, v, projection))
-    layer = hard_layer(soup_face, hits, moving)
+    moving = None if motion is None else BodyMotion.of(motion, views.surface)
+    layer = hard_layer(soup_face, views, moving)
+    # Faces nearer or farther than the sensor measures give no return.
+    face = face.masked_fill(layer.area == 0, -1)
     if sensor.beam > 0 and len(face):
-        layer = share_pixels(layer, vertices, soup, facets, soup_face, sensor, moving)
+        layer = share_pixels(layer, soup_face.masked_fill(face < 0, -1), views, moving)
     synthesis = _average(layer, face, max(sensor.beam, 1))
     return synthesis if motion is not None else replace(synthesis, jacobian=None)
-
-
-def _whole_pixels(u: Tensor, v: Tensor, projection: Projection) -> tuple[Spread, RayTurns]:
-    third = u.new_full((1,), 1.0 / 12.0)
-    to_u, to_v = projection.ray_derivatives(u, v)
-    turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
-    return Spread(uu=third, uv=torch.zeros_like(third), vv=third), turns
 
 
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:

@@ -10,7 +10,6 @@ from torch import Tensor
 from torchcal.geometry.projection import Projection
 from torchcal.render import zbuffer
 from torchcal.render.machine_code import machine_code_for
-from torchcal.render.squares import Squares
 
 
 def visible_faces(
@@ -26,27 +25,5 @@ def visible_faces(
         faces: Vertices of each triangle; both sides of a face are seen.
         projection: The sensor's optics.
     """
-    module = machine_code_for(vertices, "raster") or zbuffer
+    module = machine_code_for(vertices, "zbuffer") or zbuffer
     return module.visible_faces(vertices.detach(), faces, projection)
-
-
-def faces_at_points(
-    vertices: Float[Tensor, "view vertex 3"],
-    faces: Int[Tensor, "face 3"],
-    projection: Projection,
-    squares: Squares,
-    square: Int[Tensor, " point"],
-    rays: Float[Tensor, "point 3"],
-) -> Int[Tensor, " point"]:
-    """As ``visible_faces``, for the rays of single points.
-
-    Args:
-        vertices: Points (m) in the sensor's frame of each view, in double precision.
-        faces: Vertices of each triangle.
-        projection: The sensor's optics.
-        squares: Pixels in which the points are.
-        square: The square of each point, in their order.
-        rays: The points' rays.
-    """
-    module = machine_code_for(vertices, "raster") or zbuffer
-    return module.faces_at_points(vertices, faces, projection, squares, square, rays)

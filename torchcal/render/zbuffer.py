@@ -1,4 +1,4 @@
-"""The hard z-buffer by tensor operations, on any device; ``raster.py`` is checked against it.
+"""The hard z-buffer by tensor operations, on any device; machine code is checked against it.
 
 The views of a batch are one soup: face ``f`` of view ``k`` is face ``k * faces + f`` of the soup,
 and so are the vertices and the pixels.
@@ -56,7 +56,16 @@ def faces_at_points(
     square: Int[Tensor, " point"],
     rays: Float[Tensor, "point 3"],
 ) -> Int[Tensor, " point"]:
-    """As ``visibility.faces_at_points``."""
+    """As ``visibility.visible_faces``, for the rays of single points.
+
+    Args:
+        vertices: Points (m) in the sensor's frame of each view, in double precision.
+        faces: Vertices of each triangle.
+        projection: The sensor's optics.
+        squares: Pixels in which the points are.
+        square: The square of each point, in their order.
+        rays: The points' rays.
+    """
     views = len(vertices)
     points = tiles_of_points(squares, square, projection, views)
     buffer = torch.full(square.shape, EMPTY, dtype=torch.int64, device=rays.device)

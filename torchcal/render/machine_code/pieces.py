@@ -6,8 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchcal.render.compiled import compiled
-from torchcal.render.raster import _cross, _dot, _plane
+from torchcal.geometry.projection import Projection
+from torchcal.render.machine_code.compiled import compiled
+from torchcal.render.machine_code.vectors import cross, dot, plane, row
+from torchcal.render.silhouette import Strokes
 from torchcal.render.squares import Squares
 
 
@@ -39,6 +41,58 @@ def clipped_and_seen(
     return torch.from_numpy(points), torch.from_numpy(seen)
 
 
+def crossed_pixels(strokes: Strokes, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
+    """As ``pieces.crossed_pixels``."""
+    start, end = strokes.start.contiguous().numpy(), strokes.end.contiguous().numpy()
+    lines = start, end, strokes.margin.numpy()
+    size = projection.width, projection.height
+    found = np.empty((3, _cross_pixels(lines, size, np.empty((3, 0), np.int64))), np.int64)
+    _cross_pixels(lines, size, found)
+    stroke, u, v = torch.from_numpy(found)
+    return stroke, u, v
+
+
+@compiled
+@no_type_check
+def _cross_pixels(lines, size, found):
+    """Enters strokes and pixels where there is room for them; how many there are."""
+    start, end, margins = lines
+    count = 0
+    for i in range(len(start)):
+        margin = margins[i]
+        low, high = min(start[i, 1], end[i, 1]), max(start[i, 1], end[i, 1])
+        least, most = min(start[i, 0], end[i, 0]), max(start[i, 0], end[i, 0])
+        slope = 0.0
+        if end[i, 1] != start[i, 1]:
+            slope = (end[i, 0] - start[i, 0]) / (end[i, 1] - start[i, 1])
+        top, bottom = _pixels_between(low - margin, high + margin, size[1])
+        for row in range(top, bottom):
+            left, right = least, most
+            if end[i, 1] != start[i, 1]:
+                a = min(max(row - (0.5 + margin), low), high)
+                b = min(max(row + (0.5 + margin), low), high)
+                a = min(max(start[i, 0] + slope * (a - start[i, 1]), least), most)
+                b = min(max(start[i, 0] + slope * (b - start[i, 1]), least), most)
+                left, right = min(a, b), max(a, b)
+            begin, beyond = _pixels_between(left - margin, right + margin, size[0])
+            if count + beyond - begin <= found.shape[1]:
+                for k in range(begin, beyond):
+                    found[0, count + k - begin] = i
+                    found[1, count + k - begin] = k
+                    found[2, count + k - begin] = row
+            count += max(beyond - begin, 0)
+    return count
+
+
+@compiled
+@no_type_check
+def _pixels_between(low, high, size):
+    """The first pixel of a span, and the one beyond its last."""
+    first = min(max(np.floor(low + 0.5), 0), size)
+    last = min(max(np.floor(high + 0.5), -1), size - 1)
+    return int(first), int(last) + 1
+
+
 @compiled
 @no_type_check
 def _clip(ends, frames, square, line, corners, behind, points, seen):
@@ -50,13 +104,13 @@ def _clip(ends, frames, square, line, corners, behind, points, seen):
         k = square[i]
         if k != last:
             last = k
-            u, v, o = _row(to_u, k), _row(to_v, k), _row(origin, k)
-            x_axis, y_axis, z_axis = _cross(v, o), _cross(o, u), _cross(u, v)
-            size = _dot(u, x_axis)
+            u, v, o = row(to_u, k), row(to_v, k), row(origin, k)
+            x_axis, y_axis, z_axis = cross(v, o), cross(o, u), cross(u, v)
+            size = dot(u, x_axis)
             fills, gradient = _front(corners[k], u, v, o)
         a, b = ends[line[i], 0], ends[line[i], 1]
-        start = (_dot(x_axis, a) / size, _dot(y_axis, a) / size, _dot(z_axis, a) / size)
-        end = (_dot(x_axis, b) / size, _dot(y_axis, b) / size, _dot(z_axis, b) / size)
+        start = (dot(x_axis, a) / size, dot(y_axis, a) / size, dot(z_axis, a) / size)
+        end = (dot(x_axis, b) / size, dot(y_axis, b) / size, dot(z_axis, b) / size)
         begin, finish = _share(start, end)
         if not begin < finish:
             continue
@@ -101,20 +155,14 @@ def _share(start, end):
 def _front(corners, u, v, o):
     """Whether a face fills a square; 1 / range is x, y and 1 times what comes with it."""
     a, b, c = corners[0], corners[1], corners[2]
-    normal = _plane(a, b, c)
-    offset = _dot(normal, a)
+    normal = plane(a, b, c)
+    offset = dot(normal, a)
     fills = abs(offset) > 0.0
     for first, last in ((a, b), (b, c), (c, a)):
         step = (last[0] - first[0], last[1] - first[1], last[2] - first[2])
-        side = _cross(first, step)
-        middle = _dot(side, o) if offset > 0 else -_dot(side, o)
-        fills &= middle > 0.5 * (abs(_dot(side, u)) + abs(_dot(side, v)))
+        side = cross(first, step)
+        middle = dot(side, o) if offset > 0 else -dot(side, o)
+        fills &= middle > 0.5 * (abs(dot(side, u)) + abs(dot(side, v)))
     if not fills:
         return False, (0.0, 0.0, 0.0)
-    return True, (_dot(normal, u) / offset, _dot(normal, v) / offset, _dot(normal, o) / offset)
-
-
-@compiled
-@no_type_check
-def _row(points, k):
-    return (points[k, 0], points[k, 1], points[k, 2])
+    return True, (dot(normal, u) / offset, dot(normal, v) / offset, dot(normal, o) / offset)

@@ -1,4 +1,4 @@
-"""The hard z-buffer in machine code, for the CPU: the same answer as ``zbuffer.py``, faster.
+"""The hard z-buffer in machine code: the same answer as by tensors, faster.
 
 Each thread enters all faces into rows of its own, so the answer does not depend on their number.
 """
@@ -11,9 +11,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection, pixel_grid
-from torchcal.render.boxes import pixel_boxes, tile_cones, tiles_of_points
-from torchcal.render.compiled import compiled, in_threads
-from torchcal.render.squares import TILE, Squares
+from torchcal.render.boxes import pixel_boxes, tile_cones
+from torchcal.render.machine_code.compiled import compiled, in_threads
+from torchcal.render.machine_code.vectors import cross, dot, plane
+from torchcal.render.soup import Views
+from torchcal.render.squares import TILE, tiles_of
 
 CULLED = 64
 """Faces whose box has more pixels than this are culled by tiles."""
@@ -45,31 +47,35 @@ def visible_faces(
     return torch.from_numpy(winner)
 
 
-def faces_at_points(
-    vertices: Float[Tensor, "view vertex 3"],
-    faces: Int[Tensor, "face 3"],
-    projection: Projection,
-    squares: Squares,
-    square: Int[Tensor, " point"],
-    rays: Float[Tensor, "point 3"],
-) -> Int[Tensor, " point"]:
-    """As ``visibility.faces_at_points``, for tensors on the CPU."""
-    winner = np.full(len(square), -1)
-    depth = np.full(len(square), np.inf, np.float32)
-    points = tiles_of_points(squares, square, projection, len(vertices)).numpy()
-    optics = (rays.T.contiguous().numpy(), *_cones_of_tiles(projection, vertices, wider=1))
-    boxes = pixel_boxes(vertices, faces, projection).numpy()
-    corners = vertices.contiguous().numpy()
+def faces_of_tiles(
+    tile: Int[Tensor, " square"], views: Views
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """The faces that may reach into some tiles, in ascending order, and the boxes of all faces.
 
-    def enter(task: tuple[int, int]) -> None:
-        view, row = task
-        rows = (row, min(row + ROWS // TILE, points.shape[1]))
-        target = (depth, winner)
-        _enter_points(corners[view], faces.numpy(), boxes[view], optics, rows, points[view], target)
+    Args:
+        tile: Numbers of the tiles that are asked for.
+        views: In double precision.
 
-    rows = range(0, points.shape[1], ROWS // TILE)
-    in_threads(enter, [(i, row) for i in range(len(vertices)) for row in rows])
-    return torch.from_numpy(winner)
+    Returns:
+        Where the faces of each tile begin, for all tiles and the one beyond the last; the faces.
+    """
+    projection, own_faces = views.sensor.projection, views.own_faces
+    columns, rows = tiles_of(projection)
+    wanted = np.zeros(views.count * rows * columns, np.bool_)
+    wanted[tile.numpy()] = True
+    own = views.vertices.view(views.count, -1, 3)
+    boxes = pixel_boxes(own, own_faces, projection).flatten(0, 1).numpy()
+    optics = _cones_of_tiles(projection, views.vertices, wider=1)
+    vertices, faces = views.vertices.contiguous().numpy(), views.surface.faces.numpy()
+    mesh = vertices, faces, boxes, len(own_faces)
+    count = np.zeros(len(wanted) + 1, np.int64)
+    none = np.empty(0, np.int64)
+    _enter_tiles(mesh, optics, wanted, count, none)
+    first = np.zeros(len(count), np.int64)
+    np.cumsum(count[:-1], out=first[1:])
+    entries = np.empty(first[-1], np.int64)
+    _enter_tiles(mesh, optics, wanted, first.copy(), entries)
+    return (first, entries), boxes
 
 
 def _cones_of_tiles(
@@ -92,13 +98,13 @@ def _enter(vertices, faces, boxes, optics, rows, target):
         top, bottom = max(boxes[face, 1], rows[0]), min(boxes[face, 3], rows[1])
         if left < right and top < bottom:
             a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-            normal = _plane(vertices[a], vertices[b], vertices[c])
-            offset = _dot(normal, vertices[a])
+            normal = plane(vertices[a], vertices[b], vertices[c])
+            offset = dot(normal, vertices[a])
             if abs(offset) > 0.0:
                 sides = (
-                    _side(vertices, a, b, offset),
-                    _side(vertices, b, c, offset),
-                    _side(vertices, c, a, offset),
+                    side_of(vertices, a, b, offset),
+                    side_of(vertices, b, c, offset),
+                    side_of(vertices, c, a, offset),
                 )
                 box = (left, right, top, bottom)
                 _draw(face, box, (*sides, normal), offset, optics, target)
@@ -106,50 +112,38 @@ def _enter(vertices, faces, boxes, optics, rows, target):
 
 @compiled
 @no_type_check
-def _enter_points(vertices, faces, boxes, optics, rows, points, target):
-    """Enters all faces of one view at the points of some rows of tiles."""
-    columns = points.shape[1]
-    rays, axes, sines = optics
+def _enter_tiles(mesh, optics, wanted, place, entries):
+    """Counts the faces of tiles, and enters them from each tile's place on if there is room."""
+    vertices, faces, boxes, of_view = mesh
+    axes, sines = optics
+    rows, columns = sines.shape
     for face in range(len(faces)):
-        # Points are off the centres of their pixels.
+        # Squares reach half a pixel beyond the centres that boxes hold.
         left, right = max(boxes[face, 0] - 1, 0), boxes[face, 2] + 1
         top, bottom = max(boxes[face, 1] - 1, 0), boxes[face, 3] + 1
         left, right = left // TILE, min((right + TILE - 1) // TILE, columns)
-        top, bottom = max(top // TILE, rows[0]), min((bottom + TILE - 1) // TILE, rows[1])
-        if left >= right or top >= bottom:
+        top, bottom = top // TILE, min((bottom + TILE - 1) // TILE, rows)
+        if boxes[face, 0] >= boxes[face, 2] + 1 or left >= right or top >= bottom:
             continue
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        normal = _plane(vertices[a], vertices[b], vertices[c])
-        offset = _dot(normal, vertices[a])
+        offset = dot(plane(vertices[a], vertices[b], vertices[c]), vertices[a])
         if not abs(offset) > 0.0:
             continue
         sides = (
-            _side(vertices, a, b, offset),
-            _side(vertices, b, c, offset),
-            _side(vertices, c, a, offset),
+            side_of(vertices, a, b, offset),
+            side_of(vertices, b, c, offset),
+            side_of(vertices, c, a, offset),
         )
+        small = (right - left) * (bottom - top) == 1
         for row in range(top, bottom):
             for column in range(left, right):
-                first, count = points[row, column, 0], points[row, column, 1]
-                if count > 0 and _may_touch(sides, axes[row, column], sines[row, column]):
-                    span = (first, first + count)
-                    _draw_points(face, span, (*sides, normal), offset, rays, target)
-
-
-@compiled
-@no_type_check
-def _draw_points(face, span, planes, offset, rays, target):
-    """Enters one face at points that follow one another: free of branches as well."""
-    a, b, c, normal = planes
-    x, y, z = rays[0], rays[1], rays[2]
-    depth, winner = target
-    for i in range(span[0], span[1]):
-        ray = (x[i], y[i], z[i])
-        inside = (_dot(a, ray) >= 0) & (_dot(b, ray) >= 0) & (_dot(c, ray) >= 0)
-        t = np.float32(offset / _dot(normal, ray))
-        nearer = inside & (t > 0) & (t < depth[i])
-        depth[i] = t if nearer else depth[i]
-        winner[i] = face if nearer else winner[i]
+                tile = (face // of_view * rows + row) * columns + column
+                if wanted[tile] and (
+                    small or _may_touch(sides, axes[row, column], sines[row, column])
+                ):
+                    if len(entries):
+                        entries[place[tile]] = face
+                    place[tile] += 1
 
 
 @compiled
@@ -179,8 +173,8 @@ def _draw_span(face, span, planes, offset, rays, target):
     depth_row, winner_row = target[0][v], target[1][v]
     for u in range(begin, end):
         ray = (x_row[u], y_row[u], z_row[u])
-        inside = (_dot(a, ray) >= 0) & (_dot(b, ray) >= 0) & (_dot(c, ray) >= 0)
-        t = np.float32(offset / _dot(normal, ray))
+        inside = (dot(a, ray) >= 0) & (dot(b, ray) >= 0) & (dot(c, ray) >= 0)
+        t = np.float32(offset / dot(normal, ray))
         # A tie stays with the face that was entered first.
         nearer = inside & (t > 0) & (t < depth_row[u])
         depth_row[u] = t if nearer else depth_row[u]
@@ -192,38 +186,20 @@ def _draw_span(face, span, planes, offset, rays, target):
 def _may_touch(sides, axis, sine):
     """Whether a face may reach into a cone."""
     for side in sides:
-        if _dot(side, axis) + np.sqrt(_dot(side, side)) * sine < 0:
+        if dot(side, axis) + np.sqrt(dot(side, side)) * sine < 0:
             return False
     return True
 
 
 @compiled
 @no_type_check
-def _side(vertices, start, end, offset):
+def side_of(vertices, start, end, offset):
     """Normal of the plane through the sensor and a side, towards the inside of the face.
 
     Both faces of an edge take its vertices in the same order, so no ray slips between them.
     """
     first, last = vertices[min(start, end)], vertices[max(start, end)]
-    x, y, z = _cross(first, (last[0] - first[0], last[1] - first[1], last[2] - first[2]))
+    x, y, z = cross(first, (last[0] - first[0], last[1] - first[1], last[2] - first[2]))
     if (start < end) == (offset > 0):
         return x, y, z
     return -x, -y, -z
-
-
-@compiled
-@no_type_check
-def _plane(a, b, c):
-    return _cross((b[0] - a[0], b[1] - a[1], b[2] - a[2]), (c[0] - a[0], c[1] - a[1], c[2] - a[2]))
-
-
-@compiled
-@no_type_check
-def _cross(a, b):
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-@compiled
-@no_type_check
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
