@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Projection
-from torchcal.render.facets import Facets, Hits, RayTurns, Spread
+from torchcal.render.facets import Facets, Hits, Spread
 
 FACES = torch.tensor([[0, 1, 2], [1, 2, 3]])
 
@@ -51,14 +51,14 @@ def test_means_over_pixels_are_those_of_many_rays(projection: Projection, rng: t
     u, v = torch.tensor([[13.0, 21.0], [17.0, 9.0]], dtype=torch.float64)
     index = torch.tensor([0, 0])
     to_u, to_v = projection.ray_derivatives(u, v)
-    turns = RayTurns(to_u=to_u, to_v=to_v, curved=projection.ray_curvatures(u, v))
-    third = torch.tensor([1.0 / 12.0], dtype=torch.float64)
-    spread = Spread(uu=third, uv=torch.zeros_like(third), vv=third)
+    ray, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
+    if curves is not None:
+        ray = ray + (curves[0] + curves[2]) / 24.0
 
     def mean(twist: Tensor) -> Hits:
         T = se3.exp(twist)
         facets = Facets.of(vertices @ T[:3, :3].mT + T[:3, 3], FACES)
-        return facets.at(index, projection.rays(u, v)).averaged(spread, turns)
+        return facets.at(index, ray).averaged(Spread.of_square(ray), to_u, to_v)
 
     facets = Facets.of(vertices, FACES)
     steps = (torch.arange(40, dtype=torch.float64) + 0.5) / 40 - 0.5

@@ -91,15 +91,13 @@ def find_pieces(
     count = pieces.square.bincount(minlength=len(number))
     place = torch.arange(len(pieces.square), device=count.device)
     pieces = pieces.select(place - (count.cumsum(0) - count)[pieces.square] < MOST)
+    return of_cut_squares(squares, pieces)
+
+
+def of_cut_squares(squares: Squares, pieces: Pieces) -> tuple[Squares, Pieces]:
+    """Without the squares that no piece cuts."""
     kept, square = torch.unique_consecutive(pieces.square, return_inverse=True)
-    return squares.select(kept), Pieces(
-        square=square,
-        line=pieces.line,
-        jumps=pieces.jumps,
-        low=pieces.low,
-        high=pieces.high,
-        range=pieces.range,
-    )
+    return squares.select(kept), replace(pieces, square=square)
 
 
 def with_seams(

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchcal.render.cells import Cells, cells_of
 from torchcal.render.facets import Facets, dot
 from torchcal.render.machine_code import machine_code_for
-from torchcal.render.pieces import Pieces, with_seams
+from torchcal.render.pieces import BEHIND, Pieces, of_cut_squares, with_seams
 from torchcal.render.seams import seams_missed
 from torchcal.render.silhouette import Borders
 from torchcal.render.soup import Views
@@ -19,6 +19,10 @@ from torchcal.render.zbuffer import faces_at_points
 
 SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
 """Gauss's points of a span from 0 to 1, each of weight 1/2: exact to the third order."""
+CROWDED = 6
+"""Squares with more pieces than this do without those that are covered at all ``PROBES``."""
+PROBES = (0.01, 0.5, 0.99)
+"""Shares of a piece's length."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -109,6 +113,8 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
 
 def plain_divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> Divided:
     """The same by tensor operations, on any device."""
+    pieces = pieces.select(~_are_covered(pieces, squares, views))
+    squares, pieces = of_cut_squares(squares, pieces)
     shown = _shown(squares, pieces, views)
     regions, rims = regions_of(shown), rims_of(shown, borders, views)
     square, ends = seams_missed(shown.cells, shown.face, views.vertices, views.surface)
@@ -123,12 +129,28 @@ def plain_divide(squares: Squares, pieces: Pieces, borders: Borders, views: View
     return Divided(squares=squares, regions=regions, rims=rims)
 
 
+def _are_covered(pieces: Pieces, squares: Squares, views: Views) -> Bool[Tensor, " piece"]:
+    """Pieces of crowded squares that are behind a face at both ends and in the middle."""
+    own = pieces.square
+    crowded = torch.nonzero(own.bincount(minlength=len(squares.view))[own] > CROWDED)[:, 0]
+    own, low, high = own[crowded], pieces.low[crowded], pieces.high[crowded]
+    inverse = pieces.range[crowded].reciprocal()
+    hidden = torch.ones_like(own, dtype=torch.bool)
+    for share in PROBES:
+        rays = squares.rays(own, *(low + share * (high - low)).unbind(1))
+        face = faces_at_points(views, squares, own, rays)
+        planes = Facets.of(views.vertices, views.surface.faces[face.clamp(min=0)])
+        order = torch.arange(len(face), device=face.device)
+        nearest = planes.ranges(order, rays).where(face >= 0, torch.inf)
+        hidden &= nearest * torch.lerp(*inverse.unbind(1), share) < 1.0 - BEHIND
+    covered = torch.zeros_like(pieces.jumps)
+    covered[crowded] = hidden
+    return covered
+
+
 def _shown(squares: Squares, pieces: Pieces, views: Views) -> Shown:
-    cells, projection = cells_of(pieces, squares), views.sensor.projection
-    points, faces = views.vertices.view(views.count, -1, 3), views.own_faces
-    face = faces_at_points(points, faces, projection, squares, cells.square, cells.ray)
-    start = len(faces) * squares.view[cells.square]
-    face = torch.where(face < 0, face, face + start)
+    cells = cells_of(pieces, squares)
+    face = faces_at_points(views, squares, cells.square, cells.ray)
     return Shown(squares=squares, pieces=pieces, cells=cells, face=face)
 
 

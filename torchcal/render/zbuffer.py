@@ -15,6 +15,7 @@ from torch import Tensor
 from torchcal.geometry.projection import Projection
 from torchcal.render.boxes import pixel_boxes, tile_cones, tiles_of_points
 from torchcal.render.facets import Facets
+from torchcal.render.soup import Views
 from torchcal.render.squares import TILE, Squares, spread
 
 DIRECT = 256
@@ -49,25 +50,22 @@ def _seen(vertices: Tensor, faces: Tensor, projection: Projection) -> Tensor:
 
 
 def faces_at_points(
-    vertices: Float[Tensor, "view vertex 3"],
-    faces: Int[Tensor, "face 3"],
-    projection: Projection,
+    views: Views,
     squares: Squares,
     square: Int[Tensor, " point"],
     rays: Float[Tensor, "point 3"],
 ) -> Int[Tensor, " point"]:
-    """As ``visibility.visible_faces``, for the rays of single points.
+    """The face, of the triangles of all views, that the ray of each point meets first.
 
     Args:
-        vertices: Points (m) in the sensor's frame of each view, in double precision.
-        faces: Vertices of each triangle.
-        projection: The sensor's optics.
+        views: In double precision.
         squares: Pixels in which the points are.
         square: The square of each point, in their order.
         rays: The points' rays.
     """
-    views = len(vertices)
-    points = tiles_of_points(squares, square, projection, views)
+    projection, faces = views.sensor.projection, views.own_faces
+    vertices = views.vertices.view(views.count, -1, 3)
+    points = tiles_of_points(squares, square, projection, views.count)
     buffer = torch.full(square.shape, EMPTY, dtype=torch.int64, device=rays.device)
     box = pixel_boxes(vertices, faces, projection).long().flatten(0, 1)
     # Points are off the centres of their pixels.
@@ -83,7 +81,8 @@ def faces_at_points(
             entry, order = spread(count[pair])
             point = first[pair][entry] + order
             _enter(buffer, test, item[pair][entry], point, rays[point])
-    return torch.where(buffer == EMPTY, -1, (buffer & 0xFFFFFFFF) % max(len(faces), 1))
+    face = (buffer & 0xFFFFFFFF) % max(len(faces), 1) + len(faces) * squares.view[square]
+    return torch.where(buffer == EMPTY, -1, face)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -32,16 +32,18 @@ def cut_into_cells(number, lines, cuts, cells):
 @no_type_check
 def ray_of_cell(sides, frame):
     """The ray of a cell's centroid: see ``cells.Cells``."""
-    origin, to_u, to_v = frame
     a, b = sides[4] - sides[2], sides[5] - sides[3]
     share = (a + 2.0 * b) / (3.0 * (a + b)) if a + b > 0.0 else 0.5
     low, high = 0.5 * (sides[2] + sides[4]), 0.5 * (sides[3] + sides[5])
-    x, y = low + share * (high - low), sides[0] + share * (sides[1] - sides[0])
-    return (
-        origin[0] + x * to_u[0] + y * to_v[0],
-        origin[1] + x * to_u[1] + y * to_v[1],
-        origin[2] + x * to_u[2] + y * to_v[2],
-    )
+    return ray_of(frame, low + share * (high - low), sides[0] + share * (sides[1] - sides[0]))
+
+
+@compiled
+@no_type_check
+def ray_of(frame, x, y):
+    """The ray of a point in a square: see ``Squares.rays``."""
+    o, u, v = frame
+    return (o[0] + x * u[0] + y * v[0], o[1] + x * u[1] + y * v[1], o[2] + x * u[2] + y * v[2])
 
 
 @compiled

@@ -10,7 +10,7 @@ from numba import njit
 _Task = TypeVar("_Task")
 _Done = TypeVar("_Done")
 
-PART = 4096
+PART = 512
 """Things that a thread takes at a time."""
 
 compiled = njit(nogil=True, cache=True, error_model="numpy")

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from torchcal.render.layer import Sums
+from torchcal.render.machine_code.cells import ray_of
 from torchcal.render.machine_code.compiled import compiled, in_threads, parts_of
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.motion import BodyMotion
@@ -98,7 +99,7 @@ def _add_region(region, frame, mesh, limits, motion, twist, sums):
     vertices, faces = mesh
     _, to_u, to_v = frame
     face, area, (x, y), (uu, uv, vv) = region
-    ray = _ray(frame, x, y)
+    ray = ray_of(frame, x, y)
     corner = vertices[faces[face, 0]]
     normal = plane(corner, vertices[faces[face, 1]], vertices[faces[face, 2]])
     scale = 1.0 / dot(normal, ray)
@@ -132,13 +133,6 @@ def _add_region(region, frame, mesh, limits, motion, twist, sums):
     for j in range(3):
         twist[3 + j] = lever[j]
     _add_twist(motion, twist, 2, sums)
-
-
-@compiled
-@no_type_check
-def _ray(frame, x, y):
-    o, u, v = frame
-    return (o[0] + x * u[0] + y * v[0], o[1] + x * u[1] + y * v[1], o[2] + x * u[2] + y * v[2])
 
 
 @compiled

@@ -9,12 +9,12 @@ from typing import no_type_check
 import numpy as np
 import torch
 
-from torchcal.render.machine_code.cells import cut_into_cells, ray_of_cell
+from torchcal.render.machine_code.cells import cut_into_cells, ray_of, ray_of_cell
 from torchcal.render.machine_code.compiled import compiled, in_threads, parts_of
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.machine_code.zbuffer import faces_of_tiles, side_of
-from torchcal.render.pieces import Pieces
-from torchcal.render.regions import SHARES, Divided, Regions, Rims
+from torchcal.render.pieces import BEHIND, Pieces
+from torchcal.render.regions import CROWDED, PROBES, SHARES, Divided, Regions, Rims
 from torchcal.render.seams import CLOSE
 from torchcal.render.silhouette import Borders
 from torchcal.render.soup import Views
@@ -32,7 +32,8 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
     count = len(squares.view)
     starts = np.zeros(count + 1, np.int64)
     np.cumsum(np.bincount(pieces.square.numpy(), minlength=count), out=starts[1:])
-    of_pieces = starts, pieces.low.numpy(), pieces.high.numpy(), pieces.line.numpy()
+    ends = pieces.low.numpy(), pieces.high.numpy(), pieces.range.numpy()
+    of_pieces = (starts, *ends, pieces.line.numpy())
     frames = tuple(
         axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
     )
@@ -65,7 +66,8 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
 def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
     """Regions (square, face), their moments, rims (square, border), their levers."""
     most, near = _sizes(part, pieces[0], places[0], tiles[0])
-    lines = np.empty((most, 2)), np.empty((most, 2)), np.empty(most), np.empty(most, np.int64)
+    ends = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
+    lines = (ends[0], ends[1], np.empty(most), np.empty(most, np.int64))
     cuts = 2 + 2 * most + most * (most - 1) // 2
     cells = np.empty((cuts * (most + 1), 6)), np.empty(cuts * (most + 1), np.int64)
     face, cuts = np.empty(len(cells[1]), np.int64), np.empty(cuts)
@@ -76,7 +78,9 @@ def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
     for k in range(part[0], part[1]):
         frame = (row(frames[0], k), row(frames[1], k), row(frames[2], k))
         found = _faces_near(k, places, tiles, mesh, frame, facing)
-        number = _lines_of(k, pieces, lines)
+        number = _lines_of(k, pieces, lines, ends[2])
+        if number > CROWDED:
+            number = _uncovered(number, lines, ends[2], frame, facing, found)
         count = cut_into_cells(number, lines, cuts, cells)
         _look(count, cells, frame, facing, found, face)
         more = _seams(count, number, cells, face, mesh, frame, lines)
@@ -161,35 +165,67 @@ def _faces_near(k, places, tiles, mesh, frame, facing):
 
 @compiled
 @no_type_check
-def _lines_of(k, pieces, lines):
+def _lines_of(k, pieces, lines, distance):
     """Copies the pieces of a square; how many there are."""
-    starts, low, high, line = pieces
+    starts, low, high, ranges, line = pieces
     number = starts[k + 1] - starts[k]
     for i in range(number):
         j = starts[k] + i
         lines[0][i, 0], lines[0][i, 1] = low[j, 0], low[j, 1]
         lines[1][i, 0], lines[1][i, 1] = high[j, 0], high[j, 1]
+        distance[i, 0], distance[i, 1] = ranges[j, 0], ranges[j, 1]
         lines[3][i] = line[j]
     return number
 
 
 @compiled
 @no_type_check
+def _uncovered(number, lines, distance, frame, facing, found):
+    """Leaves out pieces that are behind a face at both ends and in the middle; how many stay."""
+    low, high, _, line = lines
+    stay = 0
+    for i in range(number):
+        covered = True
+        for share in PROBES:
+            x = low[i, 0] + share * (high[i, 0] - low[i, 0])
+            y = low[i, 1] + share * (high[i, 1] - low[i, 1])
+            # Inverse ranges are linear in the image.
+            inverse = (1.0 - share) / distance[i, 0] + share / distance[i, 1]
+            if covered:
+                nearest, _ = _first(ray_of(frame, x, y), facing, found)
+                covered = nearest * inverse < 1.0 - BEHIND
+        if not covered:
+            for axis in range(2):
+                low[stay, axis], high[stay, axis] = low[i, axis], high[i, axis]
+            line[stay] = line[i]
+            stay += 1
+    return stay
+
+
+@compiled
+@no_type_check
 def _look(count, cells, frame, facing, found, face):
-    """The face that the ray of each cell meets first: as in the z-buffer."""
-    planes, number = facing
+    """The face that the ray of each cell meets first."""
     for c in range(count):
-        ray = ray_of_cell(cells[0][c], frame)
-        depth, face[c] = np.float32(np.inf), -1
-        for i in range(found):
-            p = planes[i]
-            inside = p[0] * ray[0] + p[1] * ray[1] + p[2] * ray[2] >= 0.0
-            inside &= p[3] * ray[0] + p[4] * ray[1] + p[5] * ray[2] >= 0.0
-            inside &= p[6] * ray[0] + p[7] * ray[1] + p[8] * ray[2] >= 0.0
-            if inside:
-                t = np.float32(p[12] / (p[9] * ray[0] + p[10] * ray[1] + p[11] * ray[2]))
-                if 0.0 < t < depth:
-                    depth, face[c] = t, number[i]
+        _, face[c] = _first(ray_of_cell(cells[0][c], frame), facing, found)
+
+
+@compiled
+@no_type_check
+def _first(ray, facing, found):
+    """Range and face that a ray meets first: as in the z-buffer."""
+    planes, number = facing
+    depth, face = np.float32(np.inf), -1
+    for i in range(found):
+        p = planes[i]
+        inside = p[0] * ray[0] + p[1] * ray[1] + p[2] * ray[2] >= 0.0
+        inside &= p[3] * ray[0] + p[4] * ray[1] + p[5] * ray[2] >= 0.0
+        inside &= p[6] * ray[0] + p[7] * ray[1] + p[8] * ray[2] >= 0.0
+        if inside:
+            t = np.float32(p[12] / (p[9] * ray[0] + p[10] * ray[1] + p[11] * ray[2]))
+            if 0.0 < t < depth:
+                depth, face = t, number[i]
+    return depth, face
 
 
 @compiled
@@ -338,10 +374,9 @@ def _add_lever(sides, ends, pair, mesh, limits, frame, lever):
     along = (last[0] - first[0], last[1] - first[1], last[2] - first[2])
     normal = cross(first, along)
     rate = -(dx * dx + dy * dy) / (dot(normal, frame[1]) * dy - dot(normal, frame[2]) * dx)
-    o, u, v = frame
     for share in SHARES:
         x, y = sides[4] + share * dx, sides[0] + share * dy
-        ray = (o[0] + x * u[0] + y * v[0], o[1] + x * u[1] + y * v[1], o[2] + x * u[2] + y * v[2])
+        ray = ray_of(frame, x, y)
         near, far = _range(pair[0], ray, mesh, limits), _range(pair[1], ray, mesh, limits)
         met = (1.0 if near != 0.0 else 0.0) - (1.0 if far != 0.0 else 0.0)
         for axis in range(3):
