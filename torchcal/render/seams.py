@@ -86,36 +86,37 @@ def _strangers(pair: Tensor, faces: Tensor) -> Tensor:
 
 def _between(face: Tensor, along_u: bool, views: Views) -> Tensor:
     """Pairs of faces that meet between two neighbouring centres."""
-    vertices, surface, projection = views.vertices, views.surface, views.sensor.projection
+    projection = views.sensor.projection
     du, dv = (1, 0) if along_u else (0, 1)
     height, width = face.shape[1:]
     one, other = face[:, : height - dv, : width - du], face[:, dv:, du:]
     view, v, u = torch.nonzero((one != other) & (one >= 0) & (other >= 0), as_tuple=True)
     pair = torch.stack([one[view, v, u], other[view, v, u]], -1)
-    strangers = _strangers(pair, surface.faces)
+    strangers = _strangers(pair, views.surface.faces)
     view, v, u, pair = view[strangers], v[strangers], u[strangers], pair[strangers]
     rays = [projection.rays((u + k * du).double(), (v + k * dv).double()) for k in (0, 1)]
-    meet = torch.nonzero(_meet(pair, rays, vertices, surface))[:, 0]
-    return pair[meet].sort(-1).values
+    return pair[_meet(pair, rays, views)].sort(-1).values
 
 
-def _meet(pair: Tensor, rays: list[Tensor], vertices: Tensor, surface: Surface) -> Tensor:
-    """Whether two triangles meet on the way from one ray to the other."""
-    facets = [Facets.of(vertices, surface.faces[face]) for face in pair.unbind(1)]
+def _meet(pair: Tensor, rays: list[Tensor], views: Views) -> Tensor:
+    """The rows in which two triangles meet on the way from one ray to the other."""
+    faces = views.surface.faces[pair]
+    planes = [Facets.of(views.vertices, faces[:, k]) for k in (0, 1)]
     first, last = (
-        dot(facets[0].normal[:-1], ray) / facets[0].offset[:-1]
-        - dot(facets[1].normal[:-1], ray) / facets[1].offset[:-1]
+        dot(planes[0].normal[:-1], ray) / planes[0].offset[:-1]
+        - dot(planes[1].normal[:-1], ray) / planes[1].offset[:-1]
         for ray in rays
     )
-    share = (first / (first - last)).nan_to_num(-1.0)
-    ray = rays[0] + share[:, None] * (rays[1] - rays[0])
-    meet = (share > 0) & (share < 1)
-    for face, plane in zip(pair.unbind(1), facets, strict=True):
-        points = vertices[surface.faces[face]].unbind(1)
-        for k in range(3):
-            side = torch.linalg.cross(points[k], points[(k + 1) % 3] - points[k])
-            meet &= dot(side, ray) * plane.offset[:-1] >= 0
-    return meet
+    cross = torch.nonzero(first * last < 0)[:, 0]
+    share = (first / (first - last))[cross, None]
+    ray = torch.lerp(rays[0][cross], rays[1][cross], share)
+    meet = torch.ones_like(cross, dtype=torch.bool)
+    for k, plane in enumerate(planes):
+        points = views.vertices[faces[cross, k]].unbind(1)
+        for j in range(3):
+            side = torch.linalg.cross(points[j], points[(j + 1) % 3] - points[j])
+            meet &= dot(side, ray) * plane.offset[cross] >= 0
+    return cross[meet]
 
 
 def _ends(pairs: Tensor, vertices: Tensor, surface: Surface) -> Tensor:
