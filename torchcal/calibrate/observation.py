@@ -9,16 +9,16 @@ from torch.nn import functional
 
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
+from torchcal.render.sharing import JUMP
 
 MASK_MARGIN = 5
 """Pixels inside a mask's border that are left out: a sharp sensor's ranges and the mask itself are
 wrong there in the same way all along the border."""
 SMALLEST = 64
 """Images are not cropped to fewer pixels than this along a side."""
-JUMP = 0.02
-"""Share of the range: a larger step off the plane of the neighbours is a depth jump."""
 SURE = 15.0
-"""Sigmas of a pixel that such a step must have: six of those of a second difference."""
+"""Sigmas of a pixel that a step off the neighbours' plane must have to be a jump: six of those
+of a second difference."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

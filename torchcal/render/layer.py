@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import pixel_grid
@@ -23,8 +23,10 @@ class Layer:
     area: Float[Tensor, "view h w"]
     """Of 1 where there is a surface: pixels."""
     total_derivative: Float[Tensor, "view parameter h w"]
-    area_derivative: Float[Tensor, "view parameter h w"] | None = None
+    area_derivative: Float[Tensor, "view parameter h w"] | None
     """None if no silhouette borders on emptiness: all are 0."""
+    jump: Bool[Tensor, "view h w"]
+    """Whether the range jumps within the pixel."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -63,7 +65,13 @@ def hard_layer(face: Int[Tensor, "view h w"], views: Views, motion: BodyMotion |
     change = hits.range.new_zeros(views.count, 0, *face.shape[1:])
     if motion is not None:
         change = motion.of_images(hits.twist_derivatives(), face)
-    return Layer(total=hits.range, area=(hits.scale != 0).to(hits.range), total_derivative=change)
+    return Layer(
+        total=hits.range,
+        area=(hits.scale != 0).to(hits.range),
+        total_derivative=change,
+        area_derivative=None,
+        jump=torch.zeros_like(face, dtype=torch.bool),
+    )
 
 
 def _pixel_frames(
@@ -81,17 +89,21 @@ def _pixel_frames(
     return rays, *projection.ray_derivatives(u, v)
 
 
-def with_squares(layer: Layer, squares: Squares, sums: Sums) -> Layer:
+def with_squares(
+    layer: Layer, squares: Squares, sums: Sums, jumps: Bool[Tensor, " square"]
+) -> Layer:
     """Puts the integrals of some pixels in the place of those with one face only."""
     place = (squares.view, squares.v, squares.u)
-    total = layer.total.index_put(place, sums.total.to(layer.total))
-    area = layer.area.index_put(place, sums.area.to(layer.area))
-    change = _put(layer.total_derivative, place, sums.total_derivative)
-    lost = layer.area_derivative
-    if lost is not None or sums.area_derivative.any():
-        lost = torch.zeros_like(change) if lost is None else lost
-        lost = _put(lost, place, sums.area_derivative)
-    return Layer(total=total, area=area, total_derivative=change, area_derivative=lost)
+    change, lost = layer.total_derivative, None
+    if sums.area_derivative.any():
+        lost = _put(torch.zeros_like(change), place, sums.area_derivative)
+    return Layer(
+        total=layer.total.index_put(place, sums.total.to(layer.total)),
+        area=layer.area.index_put(place, sums.area.to(layer.area)),
+        total_derivative=_put(change, place, sums.total_derivative),
+        area_derivative=lost,
+        jump=layer.jump.index_put(place, jumps),
+    )
 
 
 def _put(image: Tensor, place: tuple[Tensor, ...], values: Tensor) -> Tensor:

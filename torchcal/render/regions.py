@@ -67,6 +67,8 @@ class Rims:
     border: Int[Tensor, " rim"]
     total_lever: Float[Tensor, "rim 3"]
     area_lever: Float[Tensor, "rim 3"]
+    step: Float[Tensor, " rim"]
+    """How far the range jumps at most, over the nearer range; infinite beside emptiness."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,6 +80,12 @@ class Divided:
     """In the order of the squares."""
     rims: Rims
     """In the order of the squares."""
+
+    def jumps(self, share: float) -> Bool[Tensor, " square"]:
+        """The squares in which the range jumps by more than this share of it."""
+        found = torch.zeros_like(self.squares.view, dtype=torch.bool)
+        found[self.rims.square[self.rims.step > share]] = True
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -120,8 +128,8 @@ def plain_divide(squares: Squares, pieces: Pieces, borders: Borders, views: View
     square, ends = seams_missed(shown.cells, shown.face, views.vertices, views.surface)
     if len(square):
         first_seam = int(pieces.line.max()) + 1 + len(borders.edge)
-        cut, *parts = with_seams(pieces, squares, square, ends, first_seam)
-        again = _shown(*parts, views)
+        cut, cut_squares, more = with_seams(pieces, squares, square, ends, first_seam)
+        again = _shown(cut_squares, more, views)
         whole = torch.ones_like(squares.view, dtype=torch.bool)
         whole[cut] = False
         regions = _replaced(regions, whole, regions_of(again), cut)
@@ -142,7 +150,7 @@ def _are_covered(pieces: Pieces, squares: Squares, views: Views) -> Bool[Tensor,
         planes = Facets.of(views.vertices, views.surface.faces[face.clamp(min=0)])
         order = torch.arange(len(face), device=face.device)
         nearest = planes.ranges(order, rays).where(face >= 0, torch.inf)
-        hidden &= nearest * torch.lerp(*inverse.unbind(1), share) < 1.0 - BEHIND
+        hidden &= nearest * torch.lerp(inverse[:, 0], inverse[:, 1], share) < 1.0 - BEHIND
     covered = torch.zeros_like(pieces.jumps)
     covered[crowded] = hidden
     return covered
@@ -206,7 +214,7 @@ def rims_of(shown: Shown, borders: Borders, views: Views) -> Rims:
     to_u, to_v = dot(m, squares.along_u[square]), dot(m, squares.along_v[square])
     # How far the left cell's area reaches beyond the line when m . ray rises by 1.
     rate = -delta.square().sum(-1) / (to_u * delta[:, 1] - to_v * delta[:, 0])
-    total, area = torch.zeros_like(m), torch.zeros_like(m)
+    total, area, step = torch.zeros_like(m), torch.zeros_like(m), torch.zeros_like(rate)
     planes = [Facets.of(vertices, surface.faces[face[k].clamp(min=0)]) for k in (left, left + 1)]
     own = torch.arange(len(left), device=left.device)
     own = [own.where(face[k] >= 0, -1) for k in (left, left + 1)]
@@ -214,6 +222,8 @@ def rims_of(shown: Shown, borders: Borders, views: Views) -> Rims:
         rays = squares.rays(square, *(start + share * delta).unbind(-1))
         hits = [plane.at(k, rays).between(*limits) for plane, k in zip(planes, own, strict=True)]
         jump = hits[0].range - hits[1].range
+        nearer = torch.minimum(hits[0].range, hits[1].range)
+        step = torch.maximum(step, torch.where(nearer > 0, jump.abs() / nearer, torch.inf))
         gained = (hits[0].scale != 0).to(m) - (hits[1].scale != 0).to(m)
         total = total + (0.5 * rate * jump)[:, None] * rays
         area = area + (0.5 * rate * gained)[:, None] * rays
@@ -227,6 +237,7 @@ def rims_of(shown: Shown, borders: Borders, views: Views) -> Rims:
         border=pieces.line[rim],
         total_lever=levers[:, :3],
         area_lever=levers[:, 3:],
+        step=step.new_zeros(len(rim)).scatter_reduce(0, index, step, "amax"),
     )
 
 

@@ -19,6 +19,9 @@ from torchcal.render.seams import seams_of
 from torchcal.render.silhouette import borders_of
 from torchcal.render.soup import Views
 
+JUMP = 0.02
+"""Share of the range: a larger step between surfaces is a depth jump."""
+
 
 def share_pixels(
     layer: Layer, face: Int[Tensor, "view h w"], views: Views, motion: BodyMotion | None
@@ -42,4 +45,5 @@ def share_pixels(
         jumps=torch.cat([borders.jumps, borders.jumps.new_zeros(len(seams))]),
     )
     divided = divide(*find_pieces(lines, face, still), borders, still)
-    return with_squares(layer, divided.squares, sums_of(divided, borders, exact, motion))
+    sums = sums_of(divided, borders, exact, motion)
+    return with_squares(layer, divided.squares, sums, divided.jumps(JUMP))

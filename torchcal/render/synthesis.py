@@ -8,7 +8,7 @@ of the visible faces' planes and edges, so automatic differentiation through the
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.model.scene import Surface
@@ -38,6 +38,9 @@ class Synthesis:
     """Share of the beam, inside the image, that meets the model: 0 to 1."""
     face: Int[Tensor, "*batch h w"]
     """The face that the central ray meets; -1 where the model is empty."""
+    jump: Bool[Tensor, "*batch h w"]
+    """Whether the beam holds a depth jump: real cameras mix or invent ranges there, so those who
+    compare with one may leave such pixels out. An ideal ray holds none."""
     jacobian: Float[Tensor, "*batch h w parameter"] | None
     """H of eq. 4: derivative of ``range`` to the parameters of ``motion``; 0 where it is NaN."""
 
@@ -88,6 +91,7 @@ def synthesise(
         range=together("range"),
         coverage=together("coverage"),
         face=together("face"),
+        jump=together("jump"),
         jacobian=None if motion is None else together("jacobian"),
     )
 
@@ -145,5 +149,6 @@ def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:
         range=torch.where(met, ranges, torch.nan),
         coverage=(area / inside).clamp(0, 1),
         face=face,
+        jump=box_sum(layer.jump.to(total), beam) > 0.5,
         jacobian=(share * change).movedim(1, -1),
     )

@@ -66,11 +66,11 @@ def _cross_pixels(lines, size, found):
         if end[i, 1] != start[i, 1]:
             slope = (end[i, 0] - start[i, 0]) / (end[i, 1] - start[i, 1])
         top, bottom = _pixels_between(low - margin, high + margin, size[1])
-        for row in range(top, bottom):
+        for v in range(top, bottom):
             left, right = least, most
             if end[i, 1] != start[i, 1]:
-                a = min(max(row - (0.5 + margin), low), high)
-                b = min(max(row + (0.5 + margin), low), high)
+                a = min(max(v - (0.5 + margin), low), high)
+                b = min(max(v + (0.5 + margin), low), high)
                 a = min(max(start[i, 0] + slope * (a - start[i, 1]), least), most)
                 b = min(max(start[i, 0] + slope * (b - start[i, 1]), least), most)
                 left, right = min(a, b), max(a, b)
@@ -79,7 +79,7 @@ def _cross_pixels(lines, size, found):
                 for k in range(begin, beyond):
                     found[0, count + k - begin] = i
                     found[1, count + k - begin] = k
-                    found[2, count + k - begin] = row
+                    found[2, count + k - begin] = v
             count += max(beyond - begin, 0)
     return count
 
