@@ -7,6 +7,7 @@ import torch
 import trimesh
 from scenes import (
     at_rest,
+    ball,
     box,
     sensor_of,
     sheet,
@@ -191,3 +192,40 @@ def test_two_bodies_that_end_together_count_once():
     )
     one, both = (share_of_near(surface_of(*near, wall(FAR))) for near in ([first], [first, second]))
     torch.testing.assert_close(both, one)
+
+
+def jumps_of(step: float, beam: int) -> Tensor:
+    """Columns in which a sheet that ends at u = 14.3 is seen before a wall behind it."""
+    edge = (14.3 - SQUARE.cx) / SQUARE.fx * NEAR
+    near = sheet((-9.0, -9.0, NEAR), (edge, -9.0, NEAR), (edge, 9.0, NEAR), (-9.0, 9.0, NEAR))
+    surface = surface_of(near, wall(NEAR + step))
+    jump = synthesise(surface, at_rest(surface), sensor_of(SQUARE, beam)).jump
+    assert (jump == jump[:1]).all()
+    return jump[0].nonzero()[:, 0]
+
+
+def test_beams_that_hold_a_depth_jump_are_told():
+    assert jumps_of(1.0, 1).tolist() == [14]
+    assert jumps_of(1.0, 5).tolist() == [12, 13, 14, 15, 16]
+    assert jumps_of(0.05, 1).tolist() == [14]
+
+
+def test_small_steps_creases_and_ideal_rays_are_no_jumps():
+    assert len(jumps_of(0.03, 1)) == 0  # of 2 m: less than 2 %
+    assert len(jumps_of(1.0, 0)) == 0
+    roof = surface_of(
+        sheet((0.0, -9.0, NEAR), (9.0, -9.0, 9.0), (9.0, 9.0, 9.0), (0.0, 9.0, NEAR)),
+        sheet((-9.0, -9.0, 9.0), (0.0, -9.0, NEAR), (0.0, 9.0, NEAR), (-9.0, 9.0, 9.0)),
+    )
+    assert not synthesise(roof, at_rest(roof), sensor_of(SQUARE, 1)).jump.any()
+
+
+@pytest.mark.parametrize("subdivisions", [4, 5])
+def test_a_ball_of_thousands_of_faces_in_a_few_pixels_has_its_area(subdivisions: int):
+    """More faces than pixels by far: the ball is 4.2 pixels wide."""
+    radius = 2.1 / SQUARE.fx * FAR
+    surface = surface_of(ball(radius, (0.013, -0.021, FAR), subdivisions))
+    coverage = synthesise(surface, at_rest(surface), sensor_of(SQUARE, 1)).coverage
+    sine = radius / FAR  # the picture is bounded by the cone that touches the ball
+    expected = math.pi * (SQUARE.fx * sine) ** 2 / (1.0 - sine**2)
+    assert abs(coverage.sum() / expected - 1.0) < 2e-3

@@ -13,7 +13,7 @@ from torchcal.render.silhouette import Strokes, strokes_of
 from torchcal.render.soup import Views
 from torchcal.render.squares import Squares, spread, square_numbers
 
-MANY = 32
+MANY = 24
 """Squares with more pieces than this do without those of creases."""
 MOST = 64
 """Pieces of silhouettes in a square beyond this many are left out."""

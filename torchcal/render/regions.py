@@ -20,7 +20,8 @@ from torchcal.render.zbuffer import faces_at_points
 SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
 """Gauss's points of a span from 0 to 1, each of weight 1/2: exact to the third order."""
 CROWDED = 6
-"""Squares with more pieces than this do without those that are covered at all ``PROBES``."""
+"""Squares with more pieces than this do without those that are covered at all ``PROBES``; where
+more are left, they do without seams that no centre of a pixel tells of."""
 PROBES = (0.01, 0.5, 0.99)
 """Shares of a piece's length."""
 
@@ -126,6 +127,8 @@ def plain_divide(squares: Squares, pieces: Pieces, borders: Borders, views: View
     shown = _shown(squares, pieces, views)
     regions, rims = regions_of(shown), rims_of(shown, borders, views)
     square, ends = seams_missed(shown.cells, shown.face, views.vertices, views.surface)
+    crowded = pieces.square.bincount(minlength=len(squares.view)) > CROWDED
+    square, ends = square[~crowded[square]], ends[~crowded[square]]
     if len(square):
         first_seam = int(pieces.line.max()) + 1 + len(borders.edge)
         cut, cut_squares, more = with_seams(pieces, squares, square, ends, first_seam)
@@ -222,8 +225,8 @@ def rims_of(shown: Shown, borders: Borders, views: Views) -> Rims:
         rays = squares.rays(square, *(start + share * delta).unbind(-1))
         hits = [plane.at(k, rays).between(*limits) for plane, k in zip(planes, own, strict=True)]
         jump = hits[0].range - hits[1].range
-        nearer = torch.minimum(hits[0].range, hits[1].range)
-        step = torch.maximum(step, torch.where(nearer > 0, jump.abs() / nearer, torch.inf))
+        relative = jump.abs() / torch.minimum(hits[0].range, hits[1].range)
+        step = torch.maximum(step, torch.where(jump == 0, 0.0, relative))
         gained = (hits[0].scale != 0).to(m) - (hits[1].scale != 0).to(m)
         total = total + (0.5 * rate * jump)[:, None] * rays
         area = area + (0.5 * rate * gained)[:, None] * rays

@@ -6,21 +6,29 @@ import numpy as np
 
 from torchcal.render.machine_code.cells import ray_of, ray_of_cell
 from torchcal.render.machine_code.compiled import compiled
-from torchcal.render.machine_code.vectors import dot, plane
+from torchcal.render.machine_code.vectors import cross, dot, plane
 from torchcal.render.machine_code.zbuffer import side_of
 from torchcal.render.pieces import BEHIND
 from torchcal.render.regions import PROBES
+
+NEARLY = 1.0 + 1e-6
+"""What is farther than a hit by this factor is behind it, however it was rounded."""
 
 
 @compiled
 @no_type_check
 def faces_near(k, places, tiles, mesh, frame, facing):
-    """Enters the sides and planes of the faces that may reach into a square; how many there are."""
+    """Enters the sides and planes of the faces that may reach into a square; how many there are.
+
+    In the square ranges are linear in space: no face is nearer than the nearest of its corners.
+    """
     tile, column, line = places
     first, entries, boxes = tiles
     vertices, faces = mesh
     origin, to_u, to_v = frame
-    planes, number = facing
+    planes, number, least, order = facing
+    ahead = cross(to_u, to_v)
+    size = dot(ahead, origin)
     u, v, found = column[k], line[k], 0
     for i in range(first[tile[k]], first[tile[k] + 1]):
         f = entries[i]
@@ -45,7 +53,10 @@ def faces_near(k, places, tiles, mesh, frame, facing):
                 planes[found, 9 + axis] = normal[axis]
             planes[found, 12] = offset
             number[found] = f
+            ends = dot(ahead, vertices[a]), dot(ahead, vertices[b]), dot(ahead, vertices[c])
+            least[found] = min(ends[0] / size, ends[1] / size, ends[2] / size)
             found += 1
+    order[:found] = np.argsort(least[:found])
     return found
 
 
@@ -84,16 +95,19 @@ def uncovered(number, lines, distance, frame, facing, found):
 @compiled
 @no_type_check
 def _first(ray, facing, found):
-    """Range and face that a ray meets first: as in the z-buffer."""
-    planes, number = facing
+    """Range and face that a ray meets first: as in the z-buffer, but from the nearest face on."""
+    planes, number, least, order = facing
     depth, face = np.float32(np.inf), -1
-    for i in range(found):
+    for k in range(found):
+        i = order[k]
+        if least[i] > NEARLY * depth:
+            break
         p = planes[i]
         inside = p[0] * ray[0] + p[1] * ray[1] + p[2] * ray[2] >= 0.0
         inside &= p[3] * ray[0] + p[4] * ray[1] + p[5] * ray[2] >= 0.0
         inside &= p[6] * ray[0] + p[7] * ray[1] + p[8] * ray[2] >= 0.0
         if inside:
             t = np.float32(p[12] / (p[9] * ray[0] + p[10] * ray[1] + p[11] * ray[2]))
-            if 0.0 < t < depth:
+            if 0.0 < t < depth or (t == depth and number[i] < face):
                 depth, face = t, number[i]
     return depth, face

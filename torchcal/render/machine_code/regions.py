@@ -69,7 +69,12 @@ def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
     cuts = 2 + 2 * most + most * (most - 1) // 2
     cells = np.empty((cuts * (most + 1), 6)), np.empty(cuts * (most + 1), np.int64)
     face, cuts = np.empty(len(cells[1]), np.int64), np.empty(cuts)
-    facing = np.empty((near, 13)), np.empty(near, np.int64)
+    facing = (
+        np.empty((near, 13)),
+        np.empty(near, np.int64),
+        np.empty(near),
+        np.empty(near, np.int64),
+    )
     region, moments = np.empty((1024, 2), np.int64), np.empty((1024, 6))
     rim, levers = np.empty((1024, 2), np.int64), np.empty((1024, 7))
     regions = rims = 0
@@ -81,7 +86,9 @@ def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
             number = uncovered(number, lines, ends[2], frame, facing, found)
         count = cut_into_cells(number, lines, cuts, cells)
         look(count, cells, frame, facing, found, face)
-        more = add_seams(count, number, cells, face, mesh, frame, lines)
+        more = number
+        if number <= CROWDED:
+            more = add_seams(count, number, cells, face, mesh, frame, lines)
         if more > number:
             number = more
             count = cut_into_cells(number, lines, cuts, cells)

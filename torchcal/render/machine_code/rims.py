@@ -2,8 +2,6 @@
 
 from typing import no_type_check
 
-import numpy as np
-
 from torchcal.render.machine_code.cells import ray_of
 from torchcal.render.machine_code.compiled import compiled
 from torchcal.render.machine_code.seams import SEAM
@@ -52,7 +50,8 @@ def _add_lever(sides, ends, pair, mesh, limits, frame, lever):
         ray = ray_of(frame, x, y)
         near, far = _range(pair[0], ray, mesh, limits), _range(pair[1], ray, mesh, limits)
         met = (1.0 if near != 0.0 else 0.0) - (1.0 if far != 0.0 else 0.0)
-        lever[6] = max(lever[6], abs(near - far) / min(near, far) if near * far > 0.0 else np.inf)
+        if near != far:
+            lever[6] = max(lever[6], abs(near - far) / min(near, far))
         for axis in range(3):
             lever[axis] += 0.5 * rate * (near - far) * ray[axis]
             lever[3 + axis] += 0.5 * rate * met * ray[axis]
