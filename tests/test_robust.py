@@ -84,23 +84,26 @@ def test_scale_of_gaussian_residuals_is_their_standard_deviation(rng):
     assert robust.robust_scale(v[:0]) == 1.0
 
 
-@pytest.mark.parametrize("c", [1.0, 2.0, 3.5, robust.EFFICIENT, 8.0, 30.0])
-def test_variance_inflation_is_that_of_numerical_quadrature(c):
-    def expected(f: Callable[[float], float]) -> float:
-        """Of a standard Gaussian, within the cut-off."""
-        return quad(lambda v: f(v) * norm.pdf(v), -c, c, epsabs=1e-13, points=[0.0])[0]
+def gaussian_mean(f: Callable[[float], float], c: float) -> float:
+    """E[f(v); |v| < c] of a standard Gaussian by numerical quadrature."""
+    return quad(lambda v: f(v) * norm.pdf(v), -c, c, epsabs=1e-13, points=[0.0])[0]
 
-    def psi(v: float) -> float:
-        return v * (1 - (v / c) ** 2) ** 2
+
+@pytest.mark.parametrize("c", [1.0, 2.0, 3.5, robust.EFFICIENT, 8.0, 30.0])
+def test_variance_and_curvature_are_those_of_numerical_quadrature(c):
+    def weight(v: float) -> float:
+        return (1 - (v / c) ** 2) ** 2
 
     def slope(v: float) -> float:
         return (1 - (v / c) ** 2) * (1 - 5 * (v / c) ** 2)
 
-    accepted = expected(lambda _: 1.0)
-    by_hand = accepted * expected(lambda v: psi(v) ** 2) / expected(slope) ** 2
-    found = robust.variance_inflation(torch.tensor([c], dtype=torch.float64))
+    squared = gaussian_mean(lambda v: (v * weight(v)) ** 2, c)
+    inflation = gaussian_mean(lambda _: 1.0, c) * squared / gaussian_mean(slope, c) ** 2
+    curvature = gaussian_mean(slope, c) / gaussian_mean(weight, c)
+    limit = torch.tensor([c], dtype=torch.float64)
     # The recursion of the moments loses digits below a cut-off of 1.
-    assert float(found) == pytest.approx(by_hand, rel=1e-8)
+    assert float(robust.variance_inflation(limit)) == pytest.approx(inflation, rel=1e-8)
+    assert float(robust.relative_curvature(limit)) == pytest.approx(curvature, rel=1e-8)
 
 
 @pytest.mark.parametrize("c", [2.5, robust.EFFICIENT])

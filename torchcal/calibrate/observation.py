@@ -9,16 +9,16 @@ from torch.nn import functional
 
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
+from torchcal.render.sharing import JUMP
 
 MASK_MARGIN = 5
 """Pixels inside a mask's border that are left out: a sharp sensor's ranges and the mask itself are
 wrong there in the same way all along the border."""
 SMALLEST = 64
 """Images are not cropped to fewer pixels than this along a side."""
-JUMP = 0.02
-"""Share of the range: a larger step off the plane of the neighbours is a depth jump."""
 SURE = 15.0
-"""Sigmas of a pixel that such a step must have: six of those of a second difference."""
+"""Sigmas of a pixel that a step off the neighbours' plane must have to be a jump: six of those
+of a second difference."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,6 +95,16 @@ def coarser(observation: Observation, factor: int) -> Observation:
         measured=enough,
         sigma=torch.where(enough, sigma / factor, 1.0),
     )
+
+
+def sharpened(observation: Observation) -> Observation:
+    """The same for a start: pixels of a sharp sensor are compared with the ray in their middle.
+
+    That is a fraction of the work of their area where a coarse pixel shows many faces of a mesh.
+    """
+    if observation.sensor.beam > 1:
+        return observation
+    return replace(observation, sensor=replace(observation.sensor, beam=0))
 
 
 def _block_mean(images: Tensor, factor: int) -> Tensor:

@@ -202,7 +202,7 @@ def _inliers(fit: RangeFit, state: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
 
 
 def _curvature(refined: Refined) -> float:
-    """Change of the gradient over what the information says, at most 1.
+    """Change of the gradient over what it is for Gaussian noise and right slopes, at most 1.
 
     Noise in the derivatives, from a model that was itself measured or from fine texture, adds to
     the information and not to the curvature of the cost. Steps of ``PROBE`` standard deviations to
@@ -219,6 +219,7 @@ def _curvature(refined: Refined) -> float:
     gradient = refined.fit.evaluate(states).gradient
     fell = 0.5 * ((gradient[2:] - gradient[:2]) * steps).sum()
     expected = ((steps @ information) * steps).sum()
+    expected = expected * robust.relative_curvature(information.new_tensor(refined.fit.cutoff))
     return float((fell / expected).clamp(LEAST_CURVATURE, 1.0))
 
 

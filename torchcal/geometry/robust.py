@@ -65,6 +65,19 @@ def variance_inflation(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     return m0 * squared / slope.square()
 
 
+def relative_curvature(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Curvature of the biweight's cost over what its weights say: E[psi'] / E[biweight].
+
+    For Gaussian noise; 0.83 at ``EFFICIENT``.
+
+    Args:
+        c: Cut-off in standard deviations.
+    """
+    m0, m2, m4 = _truncated_moments(c, 3)
+    u = c.square().reciprocal()
+    return (m0 - 6 * u * m2 + 5 * u**2 * m4) / (m0 - 2 * u * m2 + u**2 * m4)
+
+
 def _truncated_moments(c: Tensor, count: int) -> list[Tensor]:
     """E[v^(2k); |v| < c] of a Gaussian for k = 0, 1, ..., by the recursion in k."""
     density = torch.exp(-0.5 * c.square()) / math.sqrt(2.0 * math.pi)

@@ -1,4 +1,4 @@
-"""The z-buffer in machine code against the one by tensors, and the batch against single views."""
+"""Rendering in machine code against that by tensors, and the batch against single views."""
 
 from importlib.util import find_spec
 
@@ -16,7 +16,7 @@ from torchcal.render.synthesis import synthesise
 if find_spec("numba") is None:
     pytest.skip("numba is not installed", allow_module_level=True)
 
-from torchcal.render import raster
+from torchcal.render.machine_code import zbuffer as raster
 
 AROUND = Spherical(width=90, height=40, azimuth=(-3.1, 3.1), elevation=(1.5, -1.5))
 WIDE = Pinhole(width=150, height=131, fx=60.0, fy=62.0, cx=70.3, cy=66.2)
@@ -24,8 +24,8 @@ PROJECTIONS = pytest.mark.parametrize("projection", [CAMERA, LIDAR, AROUND, WIDE
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 
 
-def bumpy() -> Surface:
-    mesh = ball(1.0, (0.0, 0.0, 0.0), subdivisions=5)
+def bumpy(subdivisions: int = 5) -> Surface:
+    mesh = ball(1.0, (0.0, 0.0, 0.0), subdivisions)
     mesh.vertices *= 1.0 + 0.1 * np.sin(9.0 * mesh.vertices).prod(1, keepdims=True)
     return surface_of(turned(mesh, (0.1, 0.0, 2.3), (0.1, 0.2, 0.3)))
 
@@ -73,13 +73,32 @@ def test_one_thread_sees_what_two_see():
     assert torch.equal(*views)
 
 
-def test_without_numba_the_images_are_the_same(monkeypatch: pytest.MonkeyPatch):
-    surface, sensor = surface_of(*cell()), sensor_of(CAMERA, 5)
-    with_numba = synthesise(surface, at_rest(surface), sensor).range
-    assert visibility.machine_code_for(surface.vertices, "raster") is raster
+@pytest.mark.parametrize("projection", [CAMERA, LIDAR], ids=["pinhole", "spherical"])
+@pytest.mark.parametrize("beam", [1, 5])
+@pytest.mark.parametrize("make", [lambda: surface_of(*cell()), lambda: bumpy(3), behind])
+def test_without_numba_the_images_are_the_same(
+    make, projection: Projection, beam: int, monkeypatch: pytest.MonkeyPatch, rng: torch.Generator
+):
+    """Ranges, coverage, jumps and derivatives of two views in which bodies move in their ways."""
+    surface, sensor = make(), sensor_of(projection, beam, near=0.5, far=4.0)
+    bodies = int(surface.vertex_body.max()) + 1
+    motion = torch.randn(2, bodies, 6, 3, generator=rng, dtype=torch.float64)
+    turns = 0.02 * torch.randn(2, 1, 6, generator=rng, dtype=torch.float64)
+    poses = se3.exp(turns) @ at_rest(surface)
+    assert visibility.machine_code_for(surface.vertices, "zbuffer") is raster
+    with_numba = synthesise(surface, poses, sensor, motion)
     monkeypatch.setattr(machine_code, "_loaded", lambda _: None)
-    assert visibility.machine_code_for(surface.vertices, "raster") is None
-    assert torch.equal(synthesise(surface, at_rest(surface), sensor).range, with_numba)
+    by_tensors = synthesise(surface, poses, sensor, motion)
+    assert with_numba.jacobian is not None
+    assert by_tensors.jacobian is not None
+    # The same in double precision, in another order: slivers of 1e-6 pixels may show either face.
+    torch.testing.assert_close(
+        with_numba.range, by_tensors.range, rtol=1e-6, atol=0, equal_nan=True
+    )
+    torch.testing.assert_close(with_numba.coverage, by_tensors.coverage, rtol=0, atol=1e-9)
+    torch.testing.assert_close(with_numba.jacobian, by_tensors.jacobian, rtol=1e-5, atol=1e-5)
+    assert torch.equal(with_numba.jump, by_tensors.jump)
+    assert torch.equal(with_numba.face, by_tensors.face)
 
 
 def test_a_module_that_cannot_be_loaded_is_none():

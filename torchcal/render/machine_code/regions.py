@@ -1,0 +1,174 @@
+"""Regions and rims in machine code: what ``regions.py`` finds by tensors, but for rounding, faster.
+
+Square after square: the faces that may touch it, the cells between its pieces, the face seen in
+each cell, once more if a seam was missed, and then the sums over all cells of a face.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+import torch
+
+from torchcal.render.machine_code.cells import cut_into_cells
+from torchcal.render.machine_code.compiled import compiled, in_threads, parts_of
+from torchcal.render.machine_code.cover import faces_near, look, uncovered
+from torchcal.render.machine_code.rims import add_rims
+from torchcal.render.machine_code.seams import SEAMS, add_seams
+from torchcal.render.machine_code.vectors import row
+from torchcal.render.machine_code.zbuffer import faces_of_tiles
+from torchcal.render.pieces import Pieces
+from torchcal.render.regions import CROWDED, SHARES, Divided, Regions, Rims
+from torchcal.render.silhouette import Borders
+from torchcal.render.soup import Views
+from torchcal.render.squares import Squares, tile_numbers
+
+
+def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> Divided:
+    """As ``regions.divide``."""
+    vertices, surface, projection = views.vertices, views.surface, views.sensor.projection
+    count = len(squares.view)
+    starts = np.zeros(count + 1, np.int64)
+    np.cumsum(np.bincount(pieces.square.numpy(), minlength=count), out=starts[1:])
+    ends = pieces.low.numpy(), pieces.high.numpy(), pieces.range.numpy()
+    of_pieces = (starts, *ends, pieces.line.numpy())
+    frames = tuple(
+        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
+    )
+    tile = tile_numbers(squares.view, squares.u, squares.v, projection)
+    tiles, boxes = faces_of_tiles(tile, views)
+    places = tile.numpy(), squares.u.numpy(), squares.v.numpy()
+    mesh = vertices.contiguous().numpy(), surface.faces.numpy()
+    edges = surface.edges[borders.edge].numpy(), surface.edge_faces[borders.edge].numpy()
+    limits = float(views.sensor.near), float(views.sensor.far)
+
+    def of_part(part: tuple[int, int]) -> tuple[np.ndarray, ...]:
+        return _divide(part, of_pieces, frames, places, (*tiles, boxes), mesh, edges, limits)
+
+    parts = in_threads(of_part, parts_of(count))
+    of_regions, moments, of_rims, levers = (
+        torch.from_numpy(np.concatenate(same)) for same in zip(*parts, strict=True)
+    )
+    regions = Regions.of(of_regions[:, 0], of_regions[:, 1], moments)
+    rims = Rims(
+        square=of_rims[:, 0],
+        border=of_rims[:, 1],
+        total_lever=levers[:, :3],
+        area_lever=levers[:, 3:6],
+        step=levers[:, 6],
+    )
+    return Divided(squares=squares, regions=regions, rims=rims)
+
+
+@compiled
+@no_type_check
+def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
+    """Regions (square, face), their moments, rims (square, border), their levers."""
+    most, near = _sizes(part, pieces[0], places[0], tiles[0])
+    ends = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
+    lines = (ends[0], ends[1], np.empty(most), np.empty(most, np.int64))
+    cuts = 2 + 2 * most + most * (most - 1) // 2
+    cells = np.empty((cuts * (most + 1), 6)), np.empty(cuts * (most + 1), np.int64)
+    face, cuts = np.empty(len(cells[1]), np.int64), np.empty(cuts)
+    facing = (
+        np.empty((near, 13)),
+        np.empty(near, np.int64),
+        np.empty(near),
+        np.empty(near, np.int64),
+    )
+    region, moments = np.empty((1024, 2), np.int64), np.empty((1024, 6))
+    rim, levers = np.empty((1024, 2), np.int64), np.empty((1024, 7))
+    regions = rims = 0
+    for k in range(part[0], part[1]):
+        frame = (row(frames[0], k), row(frames[1], k), row(frames[2], k))
+        found = faces_near(k, places, tiles, mesh, frame, facing)
+        number = _lines_of(k, pieces, lines, ends[2])
+        if number > CROWDED:
+            number = uncovered(number, lines, ends[2], frame, facing, found)
+        count = cut_into_cells(number, lines, cuts, cells)
+        look(count, cells, frame, facing, found, face)
+        more = number
+        if number <= CROWDED:
+            more = add_seams(count, number, cells, face, mesh, frame, lines)
+        if more > number:
+            number = more
+            count = cut_into_cells(number, lines, cuts, cells)
+            look(count, cells, frame, facing, found, face)
+        if regions + count > len(region):
+            region, moments = _grown(region, count), _grown(moments, count)
+        if rims + number > len(rim):
+            rim, levers = _grown(rim, number), _grown(levers, number)
+        last = regions
+        for c in range(count):
+            regions = _add_cell((k, face[c]), cells[0][c], last, regions, region, moments)
+        rims = add_rims(
+            k, count, (cells, face, lines[3]), mesh, edges, limits, frame, (rims, rim, levers)
+        )
+    return (
+        region[:regions].copy(),
+        moments[:regions].copy(),
+        rim[:rims].copy(),
+        levers[:rims].copy(),
+    )
+
+
+@compiled
+@no_type_check
+def _sizes(part, starts, tile, first):
+    """Most pieces of a square, with room for seams, and most faces of its tile."""
+    most, near = 1, 1
+    for k in range(part[0], part[1]):
+        most = max(most, starts[k + 1] - starts[k])
+        near = max(near, first[tile[k] + 1] - first[tile[k]])
+    return most + SEAMS, near
+
+
+@compiled
+@no_type_check
+def _grown(rows, more):
+    """The same rows with room for more."""
+    grown = np.empty((2 * len(rows) + more, rows.shape[1]), rows.dtype)
+    grown[: len(rows)] = rows
+    return grown
+
+
+@compiled
+@no_type_check
+def _lines_of(k, pieces, lines, distance):
+    """Copies the pieces of a square; how many there are."""
+    starts, low, high, ranges, line = pieces
+    number = starts[k + 1] - starts[k]
+    for i in range(number):
+        j = starts[k] + i
+        lines[0][i, 0], lines[0][i, 1] = low[j, 0], low[j, 1]
+        lines[1][i, 0], lines[1][i, 1] = high[j, 0], high[j, 1]
+        distance[i, 0], distance[i, 1] = ranges[j, 0], ranges[j, 1]
+        lines[3][i] = line[j]
+    return number
+
+
+@compiled
+@no_type_check
+def _add_cell(key, sides, first, end, region, moments):
+    """Adds a cell's moments to those of its face; where the regions end after it."""
+    i = end - 1
+    while i >= first and region[i, 1] != key[1]:
+        i -= 1
+    if i < first:
+        i = end
+        end += 1
+        region[i, 0], region[i, 1] = key
+        moments[i] = 0.0
+    height = sides[1] - sides[0]
+    for share in SHARES:
+        y = sides[0] + share * height
+        left = sides[2] + share * (sides[3] - sides[2])
+        right = sides[4] + share * (sides[5] - sides[4])
+        width, middle = right - left, 0.5 * (left + right)
+        weight = 0.5 * height * width
+        moments[i, 0] += weight
+        moments[i, 1] += weight * middle
+        moments[i, 2] += weight * y
+        moments[i, 3] += weight * (middle * middle + width * width / 12.0)
+        moments[i, 4] += weight * middle * y
+        moments[i, 5] += weight * y * y
+    return end
