@@ -126,7 +126,7 @@ def plain_divide(squares: Squares, pieces: Pieces, borders: Borders, views: View
     squares, pieces = of_cut_squares(squares, pieces)
     shown = _shown(squares, pieces, views)
     regions, rims = regions_of(shown), rims_of(shown, borders, views)
-    square, ends = seams_missed(shown.cells, shown.face, views.vertices, views.surface)
+    square, ends = seams_missed(shown.cells, shown.face, squares, views)
     crowded = pieces.square.bincount(minlength=len(squares.view)) > CROWDED
     square, ends = square[~crowded[square]], ends[~crowded[square]]
     if len(square):

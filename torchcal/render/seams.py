@@ -8,10 +8,11 @@ from torchcal.model.scene import Surface
 from torchcal.render.cells import Cells
 from torchcal.render.facets import Facets, dot
 from torchcal.render.soup import Views
-from torchcal.render.squares import spread
+from torchcal.render.squares import Squares
+from torchcal.render.zbuffer import hits_of_points
 
-CLOSE = 1e-6
-"""Pixels. A shorter line between two faces is none."""
+FLUSH = 1e-6
+"""Share of the range: surfaces that are nearer to one another are taken as one."""
 LENGTH = 1e3
 """m. Lines that meet in a pixel are followed as far as this: beyond their faces they do nothing."""
 
@@ -49,33 +50,49 @@ def _within(ends: Tensor, pairs: Tensor, vertices: Tensor, surface: Surface) -> 
 
 
 def seams_missed(
-    cells: Cells,
-    face: Int[Tensor, " cell"],
-    vertices: Float[Tensor, "vertex 3"],
-    surface: Surface,
+    cells: Cells, face: Int[Tensor, " cell"], squares: Squares, views: Views
 ) -> tuple[Int[Tensor, " seam"], Float[Tensor, "seam 2 3"]]:
-    """Where cells that lie one upon the other show faces that share no edge: squares and lines."""
-    if not len(face):
-        return face, vertices.new_zeros(0, 2, 3)
-    starts = torch.cat([cells.y[1:, 0] != cells.y[:-1, 0], cells.piece.new_ones(1).bool()])
-    starts[:-1] |= cells.square[1:] != cells.square[:-1]
-    last = torch.nonzero(starts)[:, 0]
-    count = torch.diff(last, prepend=last.new_full((1,), -1))
-    slab = torch.repeat_interleave(count)
-    first = last - count + 1
-    followed = torch.cat([cells.square[first[1:]] == cells.square[first[:-1]], starts[:0]])
-    followed = torch.cat([followed, followed.new_zeros(len(count) - len(followed))])
-    number = torch.cat([count[1:], count[:1]]) * followed
-    lower, order = spread(number[slab])
-    upper = last[slab[lower]] + 1 + order
-    pair = torch.stack([face[lower], face[upper]], -1)
-    left = torch.maximum(cells.left[lower, 1], cells.left[upper, 0])
-    right = torch.minimum(cells.right[lower, 1], cells.right[upper, 0])
-    differ = (pair[:, 0] != pair[:, 1]) & (pair >= 0).all(-1) & (right - left > CLOSE)
-    lower, pair = lower[differ], pair[differ].sort(-1).values
-    strangers = _strangers(pair, surface.faces)
-    found = torch.cat([cells.square[lower, None], pair], -1)[strangers].unique(dim=0)
-    return found[:, 0], _ends(found[:, 1:], vertices, surface)
+    """Where other faces pass through those seen in cells: squares, in order, and lines.
+
+    A face that is behind in the middle of a cell and in front in a corner of it meets what is seen.
+
+    Args:
+        cells: Of all squares.
+        face: What is seen in them.
+        squares: Where they are.
+        views: In double precision.
+    """
+    found = [cells.square.new_zeros(0, 3)]
+    for other, point, _ in hits_of_points(views, squares, cells.square, cells.ray):
+        pair = torch.stack([face[point], other], -1)
+        differ = torch.nonzero((pair[:, 0] >= 0) & (pair[:, 0] != other))[:, 0]
+        differ = differ[_strangers(pair[differ], views.surface.faces)]
+        pair, cell = pair[differ], point[differ]
+        meet = _is_in_front_in_a_corner(pair, cells, cell, squares, views)
+        key = torch.cat([cells.square[cell, None], pair.sort(-1).values], -1)
+        found.append(key[meet])
+    rows = torch.cat(found).unique(dim=0)
+    return rows[:, 0], _ends(rows[:, 1:], views.vertices, views.surface)
+
+
+def _is_in_front_in_a_corner(
+    pair: Tensor, cells: Cells, cell: Tensor, squares: Squares, views: Views
+) -> Tensor:
+    """Whether the second face's plane is nearer than the first one's in a corner of the cell."""
+    planes = [Facets.of(views.vertices, views.surface.faces[face]) for face in pair.unbind(1)]
+    front = torch.zeros_like(cell, dtype=torch.bool)
+    own = cells.square[cell]
+
+    def inverses(rays: Tensor) -> list[Tensor]:
+        return [dot(plane.normal[:-1], rays) / plane.offset[:-1] for plane in planes]
+
+    least = FLUSH * inverses(squares.origin[own])[0]
+    for sides in (cells.left, cells.right):
+        for end in (0, 1):
+            x, y = sides[cell, end], cells.y[cell, end]
+            seen, other = inverses(squares.rays(own, x, y))
+            front |= other - seen > least
+    return front
 
 
 def _strangers(pair: Tensor, faces: Tensor) -> Tensor:

@@ -63,10 +63,25 @@ def faces_at_points(
         square: The square of each point, in their order.
         rays: The points' rays.
     """
+    buffer = torch.full(square.shape, EMPTY, dtype=torch.int64, device=rays.device)
+    for face, point, ranges in hits_of_points(views, squares, square, rays):
+        _enter(buffer, face, point, ranges)
+    return torch.where(buffer == EMPTY, -1, buffer & 0xFFFFFFFF)
+
+
+def hits_of_points(
+    views: Views,
+    squares: Squares,
+    square: Int[Tensor, " point"],
+    rays: Float[Tensor, "point 3"],
+) -> Iterator[tuple[Int[Tensor, " hit"], Int[Tensor, " hit"], Float[Tensor, " hit"]]]:
+    """All faces that the rays of points meet, the points and the ranges, part by part.
+
+    The arguments are those of ``faces_at_points``.
+    """
     projection, faces = views.sensor.projection, views.own_faces
     vertices = views.vertices.view(views.count, -1, 3)
     points = tiles_of_points(squares, square, projection, views.count)
-    buffer = torch.full(square.shape, EMPTY, dtype=torch.int64, device=rays.device)
     box = pixel_boxes(vertices, faces, projection).long().flatten(0, 1)
     # Points are off the centres of their pixels.
     box = torch.cat([box[:, :2] - 1, box[:, 2:] + 1], -1)
@@ -79,10 +94,10 @@ def faces_at_points(
         for part in _parts(count[near]):
             pair = near[part]
             entry, order = spread(count[pair])
-            point = first[pair][entry] + order
-            _enter(buffer, test, item[pair][entry], point, rays[point])
-    face = (buffer & 0xFFFFFFFF) % max(len(faces), 1) + len(faces) * squares.view[square]
-    return torch.where(buffer == EMPTY, -1, face)
+            face, point = item[pair][entry], first[pair][entry] + order
+            ranges = test.ranges(face, rays[point])
+            met = torch.nonzero(ranges.isfinite())[:, 0]
+            yield face[met], point[met], ranges[met]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -162,16 +177,17 @@ def _fill(buffer: Tensor, test: _FaceTest, face: Tensor, box: Tensor) -> None:
         index = face[part][item]
         rays = test.projection.rays(u.to(test.edge), v.to(test.edge))
         row = (index // test.faces_of_view) * test.projection.height + v
-        _enter(buffer.view(-1), test, index, row * test.projection.width + u, rays)
+        ranges = test.ranges(index, rays)
+        met = torch.nonzero(ranges.isfinite())[:, 0]
+        place = (row * test.projection.width + u)[met]
+        _enter(buffer.view(-1), index[met], place, ranges[met])
 
 
-def _enter(buffer: Tensor, test: _FaceTest, face: Tensor, place: Tensor, rays: Tensor) -> None:
+def _enter(buffer: Tensor, face: Tensor, place: Tensor, ranges: Tensor) -> None:
     """Enters faces into the z-buffer at single places."""
-    t = test.ranges(face, rays)
-    met = t.isfinite()
     # Positive floats sort like their bits: one number holds the range and, for ties, the face.
-    key = (t[met].float().view(torch.int32).long() << 32) | face[met]
-    buffer.scatter_reduce_(0, place[met], key, "amin")
+    key = (ranges.float().view(torch.int32).long() << 32) | face
+    buffer.scatter_reduce_(0, place, key, "amin")
 
 
 def _cells(first: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -62,10 +62,12 @@ def faces_near(k, places, tiles, mesh, frame, facing):
 
 @compiled
 @no_type_check
-def look(count, cells, frame, facing, found, face):
-    """The face that the ray of each cell meets first."""
+def look(count, cells, frame, facing, found, seen):
+    """The face that the ray of each cell meets first, and its place among those near; -1: none."""
+    face, place = seen
     for c in range(count):
-        _, face[c] = _first(ray_of_cell(cells[0][c], frame), facing, found)
+        _, k = _first(ray_of_cell(cells[0][c], frame), facing, found)
+        face[c], place[c] = facing[1][k] if k >= 0 else -1, k
 
 
 @compiled
@@ -95,19 +97,26 @@ def uncovered(number, lines, distance, frame, facing, found):
 @compiled
 @no_type_check
 def _first(ray, facing, found):
-    """Range and face that a ray meets first: as in the z-buffer, but from the nearest face on."""
+    """Range of the face that a ray meets first, and its place: as in the z-buffer."""
     planes, number, least, order = facing
-    depth, face = np.float32(np.inf), -1
+    depth, first = np.float32(np.inf), -1
     for k in range(found):
         i = order[k]
         if least[i] > NEARLY * depth:
             break
-        p = planes[i]
-        inside = p[0] * ray[0] + p[1] * ray[1] + p[2] * ray[2] >= 0.0
-        inside &= p[3] * ray[0] + p[4] * ray[1] + p[5] * ray[2] >= 0.0
-        inside &= p[6] * ray[0] + p[7] * ray[1] + p[8] * ray[2] >= 0.0
-        if inside:
+        if is_inside(planes[i], ray):
+            p = planes[i]
             t = np.float32(p[12] / (p[9] * ray[0] + p[10] * ray[1] + p[11] * ray[2]))
-            if 0.0 < t < depth or (t == depth and number[i] < face):
-                depth, face = t, number[i]
-    return depth, face
+            if 0.0 < t < depth or (t == depth and number[i] < number[first]):
+                depth, first = t, i
+    return depth, first
+
+
+@compiled
+@no_type_check
+def is_inside(p, ray):
+    """Whether a ray is within the sides of a face."""
+    inside = p[0] * ray[0] + p[1] * ray[1] + p[2] * ray[2] >= 0.0
+    inside &= p[3] * ray[0] + p[4] * ray[1] + p[5] * ray[2] >= 0.0
+    inside &= p[6] * ray[0] + p[7] * ray[1] + p[8] * ray[2] >= 0.0
+    return inside

@@ -68,7 +68,11 @@ def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
     lines = (ends[0], ends[1], np.empty(most), np.empty(most, np.int64))
     cuts = 2 + 2 * most + most * (most - 1) // 2
     cells = np.empty((cuts * (most + 1), 6)), np.empty(cuts * (most + 1), np.int64)
-    face, cuts = np.empty(len(cells[1]), np.int64), np.empty(cuts)
+    seen, cuts = (
+        (np.empty(len(cells[1]), np.int64), np.empty(len(cells[1]), np.int64)),
+        np.empty(cuts),
+    )
+    face = seen[0]
     facing = (
         np.empty((near, 13)),
         np.empty(near, np.int64),
@@ -85,14 +89,14 @@ def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
         if number > CROWDED:
             number = uncovered(number, lines, ends[2], frame, facing, found)
         count = cut_into_cells(number, lines, cuts, cells)
-        look(count, cells, frame, facing, found, face)
+        look(count, cells, frame, facing, found, seen)
         more = number
         if number <= CROWDED:
-            more = add_seams(count, number, cells, face, mesh, frame, lines)
+            more = add_seams(count, number, (cells, seen), facing, found, mesh[1], frame, lines)
         if more > number:
             number = more
             count = cut_into_cells(number, lines, cuts, cells)
-            look(count, cells, frame, facing, found, face)
+            look(count, cells, frame, facing, found, seen)
         if regions + count > len(region):
             region, moments = _grown(region, count), _grown(moments, count)
         if rims + number > len(rim):

@@ -4,9 +4,11 @@ from typing import no_type_check
 
 import numpy as np
 
+from torchcal.render.machine_code.cells import ray_of_cell
 from torchcal.render.machine_code.compiled import compiled
-from torchcal.render.machine_code.vectors import dot, plane
-from torchcal.render.seams import CLOSE
+from torchcal.render.machine_code.cover import is_inside
+from torchcal.render.machine_code.vectors import dot
+from torchcal.render.seams import FLUSH
 
 SEAMS = 16
 """Most seams in one square."""
@@ -16,23 +18,45 @@ SEAM = -2
 
 @compiled
 @no_type_check
-def add_seams(count, number, cells, face, mesh, frame, lines):
-    """Adds the seams between faces seen in cells one upon the other; how many lines there are."""
-    sides, before = cells[0], number
-    begin = middle = 0
-    for end in range(1, count + 1):
-        if end < count and sides[end, 0] == sides[middle, 0]:
+def add_seams(count, number, shown, facing, found, faces, frame, lines):
+    """Adds the lines in which faces pass through what is seen in cells; how many lines there are.
+
+    A face that is behind in the middle of a cell and in front in a corner of it meets what is seen.
+    """
+    planes, name, least, order = facing
+    (sides, _), (_, spot) = shown
+    before = number
+    for c in range(count):
+        place = spot[c]
+        if place < 0:
             continue
-        # The slab from ``middle`` to ``end`` lies upon the one from ``begin`` to ``middle``.
-        for i in range(begin, middle):
-            for j in range(middle, end):
-                width = min(sides[i, 5], sides[j, 4]) - max(sides[i, 3], sides[j, 2])
-                a, b = min(face[i], face[j]), max(face[i], face[j])
-                known = width <= CLOSE or a < 0 or a == b or number - before == SEAMS
-                if not known and not _are_related(mesh[1], a, b):
-                    number = _add_seam(a, b, mesh, frame, before, number, lines)
-        begin, middle = middle, end
+        ray, own = ray_of_cell(sides[c], frame), _inverse(planes[place], frame)
+        farthest = 1.0 / min(_in_corners(own, sides[c]))
+        for k in range(found):
+            i = order[k]
+            if least[i] > farthest or number - before == SEAMS:
+                break
+            if i == place or not is_inside(planes[i], ray):
+                continue
+            other = _inverse(planes[i], frame)
+            gap = (other[0] - own[0], other[1] - own[1], other[2] - own[2])
+            if max(_in_corners(gap, sides[c])) > FLUSH * own[2]:
+                if not _are_related(faces, name[place], name[i]):
+                    number = _add_seam(gap, before, number, lines)
     return number
+
+
+@compiled
+@no_type_check
+def _in_corners(plane, sides):
+    """What is linear in x and y in the corners of a cell."""
+    low, high = plane[1] * sides[0] + plane[2], plane[1] * sides[1] + plane[2]
+    return (
+        plane[0] * sides[2] + low,
+        plane[0] * sides[3] + high,
+        plane[0] * sides[4] + low,
+        plane[0] * sides[5] + high,
+    )
 
 
 @compiled
@@ -48,10 +72,9 @@ def _are_related(faces, a, b):
 
 @compiled
 @no_type_check
-def _add_seam(a, b, mesh, frame, before, number, lines):
-    """Adds the line in which two planes meet if it crosses the square and is not yet there."""
-    one, other = _inverse(a, mesh, frame), _inverse(b, mesh, frame)
-    x, y, offset = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+def _add_seam(gap, before, number, lines):
+    """Adds the line where a gap closes if it crosses the square and is not yet there."""
+    x, y, offset = gap
     size = np.sqrt(x * x + y * y)
     if not abs(offset) < size:
         return number
@@ -77,11 +100,8 @@ def _add_seam(a, b, mesh, frame, before, number, lines):
 
 @compiled
 @no_type_check
-def _inverse(face, mesh, frame):
+def _inverse(p, frame):
     """1 / range on a face's plane: the factors of x, y and 1."""
-    vertices, faces = mesh
-    corner = vertices[faces[face, 0]]
-    normal = plane(corner, vertices[faces[face, 1]], vertices[faces[face, 2]])
-    offset = dot(normal, corner)
     origin, to_u, to_v = frame
-    return dot(normal, to_u) / offset, dot(normal, to_v) / offset, dot(normal, origin) / offset
+    normal = (p[9], p[10], p[11])
+    return dot(normal, to_u) / p[12], dot(normal, to_v) / p[12], dot(normal, origin) / p[12]
