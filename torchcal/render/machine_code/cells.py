@@ -13,11 +13,11 @@ def cut_into_cells(number, lines, cuts, cells):
 
     Args:
         number: Of pieces.
-        lines: Their lower ends, upper ends, room for their slopes, and more.
+        lines: Their lower ends, upper ends, room for their slopes, numbers, ranges at both ends.
         cuts: Room for the y of all slabs.
         cells: Where the cells are entered.
     """
-    low, high, slope, _ = lines
+    low, high, slope, _, _ = lines
     for i in range(number):
         height = high[i, 1] - low[i, 1]
         slope[i] = 0.0 if height < THIN else (high[i, 0] - low[i, 0]) / height
@@ -50,7 +50,7 @@ def ray_of(frame, x, y):
 @no_type_check
 def _cuts(number, lines, cuts):
     """Sorts the y of the square's sides and of the ends and meetings of its pieces."""
-    low, high, slope, _ = lines
+    low, high, slope, _, _ = lines
     cuts[0], cuts[1] = -0.5, 0.5
     count = 2
     for i in range(number):
@@ -78,7 +78,7 @@ def _cuts(number, lines, cuts):
 @no_type_check
 def _slab(number, slab, lines, at, cells):
     """Enters the cells of one slab from left to right; where the next slab's begin."""
-    low, high, slope, _ = lines
+    low, high, slope, _, _ = lines
     sides, piece = cells
     middle = 0.5 * (slab[0] + slab[1])
     first = at

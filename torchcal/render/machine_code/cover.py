@@ -72,9 +72,9 @@ def look(count, cells, frame, facing, found, seen):
 
 @compiled
 @no_type_check
-def uncovered(number, lines, distance, frame, facing, found):
+def uncovered(number, lines, frame, facing, found):
     """Leaves out pieces that are behind a face at both ends and in the middle; how many stay."""
-    low, high, _, line = lines
+    low, high, _, line, distance = lines
     stay = 0
     for i in range(number):
         covered = True

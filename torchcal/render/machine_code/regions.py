@@ -63,50 +63,25 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
 @no_type_check
 def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
     """Regions (square, face), their moments, rims (square, border), their levers."""
-    most, near = _sizes(part, pieces[0], places[0], tiles[0])
-    ends = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
-    lines = (ends[0], ends[1], np.empty(most), np.empty(most, np.int64))
-    cuts = 2 + 2 * most + most * (most - 1) // 2
-    cells = np.empty((cuts * (most + 1), 6)), np.empty(cuts * (most + 1), np.int64)
-    seen, cuts = (
-        (np.empty(len(cells[1]), np.int64), np.empty(len(cells[1]), np.int64)),
-        np.empty(cuts),
-    )
-    face = seen[0]
-    facing = (
-        np.empty((near, 13)),
-        np.empty(near, np.int64),
-        np.empty(near),
-        np.empty(near, np.int64),
-    )
+    room = _room_for(part, pieces[0], places[0], tiles[0])
+    lines, _, cells, seen, facing = room
     region, moments = np.empty((1024, 2), np.int64), np.empty((1024, 6))
     rim, levers = np.empty((1024, 2), np.int64), np.empty((1024, 7))
     regions = rims = 0
     for k in range(part[0], part[1]):
         frame = (row(frames[0], k), row(frames[1], k), row(frames[2], k))
         found = faces_near(k, places, tiles, mesh, frame, facing)
-        number = _lines_of(k, pieces, lines, ends[2])
-        if number > CROWDED:
-            number = uncovered(number, lines, ends[2], frame, facing, found)
-        count = cut_into_cells(number, lines, cuts, cells)
-        look(count, cells, frame, facing, found, seen)
-        more = number
-        if number <= CROWDED:
-            more = add_seams(count, number, (cells, seen), facing, found, mesh[1], frame, lines)
-        if more > number:
-            number = more
-            count = cut_into_cells(number, lines, cuts, cells)
-            look(count, cells, frame, facing, found, seen)
+        number, count = _cut(k, pieces, found, mesh[1], frame, room)
         if regions + count > len(region):
             region, moments = _grown(region, count), _grown(moments, count)
         if rims + number > len(rim):
             rim, levers = _grown(rim, number), _grown(levers, number)
         last = regions
         for c in range(count):
-            regions = _add_cell((k, face[c]), cells[0][c], last, regions, region, moments)
-        rims = add_rims(
-            k, count, (cells, face, lines[3]), mesh, edges, limits, frame, (rims, rim, levers)
-        )
+            regions = _add_cell((k, seen[0][c]), cells[0][c], last, regions, region, moments)
+        shown = (cells, seen[0], lines[3])
+        rims = add_rims(k, count, shown, mesh, edges, limits, frame, (rims, rim, levers))
+    # Copies, so that the room that was not needed is given back.
     return (
         region[:regions].copy(),
         moments[:regions].copy(),
@@ -117,13 +92,50 @@ def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
 
 @compiled
 @no_type_check
-def _sizes(part, starts, tile, first):
-    """Most pieces of a square, with room for seams, and most faces of its tile."""
+def _room_for(part, starts, tile, first):
+    """Room for the lines, slabs, cells and faces of any one of some squares."""
     most, near = 1, 1
     for k in range(part[0], part[1]):
         most = max(most, starts[k + 1] - starts[k])
         near = max(near, first[tile[k] + 1] - first[tile[k]])
-    return most + SEAMS, near
+    most += SEAMS
+    slabs = 2 + 2 * most + most * (most - 1) // 2
+    number = slabs * (most + 1)
+    lines = (
+        np.empty((most, 2)),
+        np.empty((most, 2)),
+        np.empty(most),
+        np.empty(most, np.int64),
+        np.empty((most, 2)),
+    )
+    cells = np.empty((number, 6)), np.empty(number, np.int64)
+    seen = np.empty(number, np.int64), np.empty(number, np.int64)
+    facing = (
+        np.empty((near, 13)),
+        np.empty(near, np.int64),
+        np.empty(near),
+        np.empty(near, np.int64),
+    )
+    return lines, np.empty(slabs), cells, seen, facing
+
+
+@compiled
+@no_type_check
+def _cut(k, pieces, found, faces, frame, room):
+    """Cuts one square and looks at what its cells show; how many lines and cells there are."""
+    lines, slabs, cells, seen, facing = room
+    number = _lines_of(k, pieces, lines)
+    if number > CROWDED:
+        number = uncovered(number, lines, frame, facing, found)
+    count = cut_into_cells(number, lines, slabs, cells)
+    look(count, cells, frame, facing, found, seen)
+    if number <= CROWDED:
+        more = add_seams(count, number, (cells, seen), facing, found, faces, frame, lines)
+        if more > number:
+            number = more
+            count = cut_into_cells(number, lines, slabs, cells)
+            look(count, cells, frame, facing, found, seen)
+    return number, count
 
 
 @compiled
@@ -137,9 +149,10 @@ def _grown(rows, more):
 
 @compiled
 @no_type_check
-def _lines_of(k, pieces, lines, distance):
+def _lines_of(k, pieces, lines):
     """Copies the pieces of a square; how many there are."""
     starts, low, high, ranges, line = pieces
+    distance = lines[4]
     number = starts[k + 1] - starts[k]
     for i in range(number):
         j = starts[k] + i

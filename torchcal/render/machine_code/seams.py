@@ -86,7 +86,7 @@ def _add_seam(gap, before, number, lines):
         if abs(along[axis]) > 0.0:
             reach, middle = abs(0.5 / along[axis]), -point[axis] / along[axis]
             first, last = max(first, middle - reach), min(last, middle + reach)
-    low, high, _, line = lines
+    low, high, _, line, _ = lines
     for axis in range(2):
         low[number, axis] = min(max(point[axis] + first * along[axis], -0.5), 0.5)
         high[number, axis] = min(max(point[axis] + last * along[axis], -0.5), 0.5)
