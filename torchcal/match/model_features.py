@@ -1,0 +1,197 @@
+"""Vertexes, lines and planes of a model with their characteristic values (3.1, 3.2)."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from torchcal.match.contacts import find_contacts, without_buried
+from torchcal.match.elements import Elements
+from torchcal.match.features import Features, Lines, Planes, Vertices
+from torchcal.match.mesh_lines import Segments, find_creases, find_limbs
+from torchcal.match.mesh_regions import Mesh, Regions, find_regions
+from torchcal.match.outlines import find_borders, outline
+from torchcal.match.tolerances import Tolerances
+from torchcal.model.scene import Surface
+
+MOST_AT_A_VERTEX = 5
+"""Lines that may meet in a point: more are the tip of a cone, and no three of them tell it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelFeatures:
+    """The elements of a model whose bodies stand in given places, all in one frame."""
+
+    features: Features
+    plane_body: Int[Tensor, " plane"]
+    """The body of each element."""
+    line_body: Int[Tensor, "line 2"]
+    """Of both sides: they differ where two bodies meet. A border has its own twice."""
+    vertex_body: Int[Tensor, "vertex 3"]
+    """Of each of its lines: the first side's."""
+    limbs: Lines
+    """Long edges in curved surfaces, of kind JUMP: they show only where the surface turns away."""
+    limb_body: Int[Tensor, "limb 2"]
+    face_plane: Int[Tensor, " face"]
+    """The plane that each triangle is part of; -1: curved or too small."""
+    face_region: Int[Tensor, " face"]
+    """The flat region of each triangle: planes, and facets of curved surfaces."""
+    line_regions: Int[Tensor, "line 2"]
+    """The regions beside each line; -1 at a border."""
+    limb_regions: Int[Tensor, "limb 2"]
+    triangles: Float[Tensor, "face 3 3"]
+    """Corners (m)."""
+
+
+def find_model_features(
+    surface: Surface,
+    Ts_world_body: Float[Tensor, "body 4 4"],
+    tolerances: Tolerances | None = None,
+) -> ModelFeatures:
+    """Finds the elements of a scene in the world's frame.
+
+    Coplanar connected triangles of a body are one plane, collinear edges between two planes one
+    line; where planes meet that share no edge there is a concave line. Facets of curved surfaces
+    and what is smaller than the tolerances are no elements. Normals point to the side that the
+    triangles' corners run round anticlockwise, and kinds follow from them.
+
+    Args:
+        surface: Triangles on bodies.
+        Ts_world_body: Where the bodies stand; identities for the elements of one body in its frame.
+        tolerances: None: those of a clean model of this size.
+    """
+    mesh, body = _mesh_in_world(surface, Ts_world_body)
+    tolerances = tolerances or Tolerances.of_size(float(np.ptp(mesh.vertices, axis=0).max()))
+    regions = find_regions(mesh, tolerances)
+    borders = find_borders(mesh, regions)
+    creases = find_creases(mesh, regions, tolerances)
+    gap = 0.5 * tolerances.least_length
+    contacts = find_contacts(regions, borders, creases.regions, tolerances, gap)
+    lines = Segments.join(without_buried(creases, contacts, gap), contacts)
+    limbs = find_limbs(mesh, regions, tolerances)
+    plane_regions = np.flatnonzero(regions.is_plane)
+    number = np.full(len(regions.area) + 1, -1)
+    number[plane_regions] = np.arange(len(plane_regions))
+    region_body = np.zeros(len(regions.area), np.int64)
+    region_body[regions.of_face] = body[mesh.faces[:, 0]]
+    like = surface.vertices
+    outlines = tuple(outline(borders[region], regions.normal[region]) for region in plane_regions)
+    vertices = _vertices(lines, number, tolerances, like)
+    line_body = _bodies(lines, region_body)
+    return ModelFeatures(
+        features=Features(
+            planes=_planes(regions, plane_regions, outlines, like),
+            lines=_lines(lines, number, like),
+            vertices=vertices,
+        ),
+        plane_body=_index(region_body[plane_regions], like),
+        line_body=_index(line_body, like),
+        vertex_body=_index(line_body[vertices.lines.cpu().numpy(), 0], like),
+        limbs=_lines(limbs, number, like),
+        limb_body=_index(_bodies(limbs, region_body), like),
+        face_plane=_index(number[regions.of_face], like),
+        face_region=_index(regions.of_face, like),
+        line_regions=_index(lines.regions, like),
+        limb_regions=_index(limbs.regions, like),
+        triangles=torch.as_tensor(mesh.vertices[mesh.faces]).to(like),
+    )
+
+
+def _mesh_in_world(surface: Surface, Ts_world_body: Tensor) -> tuple[Mesh, ndarray]:
+    body = surface.vertex_body.cpu().numpy()
+    T = Ts_world_body.detach().double().cpu().numpy()[body]
+    own = surface.vertices.detach().double().cpu().numpy()
+    vertices = np.einsum("vij,vj->vi", T[:, :3, :3], own) + T[:, :3, 3]
+    faces, edges, edge_faces = (
+        table.cpu().numpy() for table in (surface.faces, surface.edges, surface.edge_faces)
+    )
+    return Mesh.of(vertices, faces, edges, edge_faces), body
+
+
+def _planes(
+    regions: Regions, rows: ndarray, outlines: tuple[ndarray, ...], like: Tensor
+) -> Planes:
+    area = _values(regions.area[rows], like)
+    return Planes(
+        elements=Elements.planes(
+            _values(regions.point[rows], like), _values(regions.normal[rows], like)
+        ),
+        area=area,
+        area_sigma=torch.zeros_like(area),
+        outline=tuple(_values(corners, like) for corners in outlines),
+    )
+
+
+def _lines(found: Segments, number: ndarray, like: Tensor) -> Lines:
+    ends = _values(found.ends, like)
+    length = (ends[:, 1] - ends[:, 0]).norm(dim=-1)
+    return Lines(
+        elements=Elements.lines(ends.mean(1), _values(found.direction, like)),
+        ends=ends,
+        is_end=torch.as_tensor(found.is_end, device=like.device),
+        length_sigma=torch.zeros_like(length),
+        kind=_index(found.kind, like),
+        dihedral=_values(found.dihedral, like),
+        dihedral_sigma=torch.zeros_like(length),
+        planes=_index(number[found.regions], like),
+    )
+
+
+def _vertices(found: Segments, number: ndarray, tolerances: Tolerances, like: Tensor) -> Vertices:
+    """Where ends of three lines meet; of more lines every three that do not lie in one plane."""
+    triples, points = _meeting(found, 0.5 * tolerances.least_length)
+    inwards = found.direction[triples] * np.where(triples_first(found, triples, points), 1.0, -1.0)[
+        ..., None
+    ]
+    one, two = inwards[:, [0, 0, 1]], inwards[:, [1, 2, 2]]
+    sine = np.linalg.norm(np.cross(one, two), axis=-1)
+    angles = np.sort(np.arctan2(sine, (one * two).sum(-1)), axis=1)
+    kept = np.abs(np.linalg.det(inwards)) > np.sin(tolerances.crease) ** 2
+    values = _values(angles[kept], like)
+    return Vertices(
+        elements=Elements.points(_values(points[kept], like)),
+        lines=_index(triples[kept], like),
+        angles=values,
+        angles_sigma=torch.zeros_like(values),
+    )
+
+
+def triples_first(found: Segments, triples: ndarray, points: ndarray) -> ndarray:
+    """Whether each line's first end is the one at the point."""
+    away = np.linalg.norm(found.ends[triples] - points[:, None, None], axis=-1)
+    return away[..., 0] < away[..., 1]
+
+
+def _meeting(found: Segments, reach: float) -> tuple[ndarray, ndarray]:
+    """Triples of lines with ends in one place, and the place."""
+    ends = found.ends.reshape(-1, 3)
+    triples, points = [], []
+    if len(ends):
+        groups = KDTree(ends).query_ball_point(ends, reach)
+        for group in sorted({tuple(sorted(each)) for each in groups}):
+            lines = sorted({end // 2 for end in group})
+            if 3 <= len(lines) <= MOST_AT_A_VERTEX:
+                triples += combinations(lines, 3)
+                points += [ends[list(group)].mean(0)] * (len(triples) - len(points))
+    return (
+        np.array(triples, np.int64).reshape(-1, 3),
+        np.array(points).reshape(-1, 3),
+    )
+
+
+def _bodies(found: Segments, region_body: ndarray) -> ndarray:
+    first, second = found.regions.T
+    return region_body[np.stack([first, np.where(second < 0, first, second)], 1)]
+
+
+def _values(values: ndarray, like: Tensor) -> Tensor:
+    return torch.as_tensor(np.ascontiguousarray(values)).to(like)
+
+
+def _index(values: ndarray, like: Tensor) -> Tensor:
+    return torch.as_tensor(np.ascontiguousarray(values, np.int64), device=like.device)
