@@ -1,6 +1,6 @@
 """Straight edges between the planes of a mesh (3.1 (2) for a model). Numpy, as the regions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,6 +11,9 @@ from scipy.sparse.csgraph import connected_components
 from torchcal.match.features import LineKind
 from torchcal.match.mesh_regions import Mesh, Regions
 from torchcal.match.tolerances import Tolerances
+
+LONG = 4.0
+"""Square of the length over the area of a long facet: 1 for a square, 2.3 for a triangle."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,19 +74,14 @@ def find_creases(mesh: Mesh, regions: Regions, tolerances: Tolerances) -> Segmen
 
 
 def find_limbs(mesh: Mesh, regions: Regions, tolerances: Tolerances) -> Segments:
-    """Long straight edges in curved surfaces: no creases, but a sensor may see the surface end."""
+    """Edges between long facets of curved surfaces: where a sensor may see a pipe end."""
     beside = np.where(mesh.edge_faces >= 0, regions.of_face[mesh.edge_faces], -1)
     bends = mesh.bends()
     smooth = mesh.inner & (bends < tolerances.crease) & (beside[:, 0] != beside[:, 1])
     found = _joined(mesh, regions, np.flatnonzero(smooth), beside, tolerances)
+    is_long = (found.length[:, None] ** 2 > LONG * regions.area[found.regions]).all(1)
     kind = np.full(len(found.kind), LineKind.JUMP.value)
-    return Segments(
-        ends=found.ends,
-        is_end=found.is_end,
-        kind=kind,
-        dihedral=found.dihedral,
-        regions=found.regions,
-    )
+    return replace(found, kind=kind).rows(np.flatnonzero(is_long))
 
 
 def _joined(

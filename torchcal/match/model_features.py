@@ -145,9 +145,8 @@ def _lines(found: Segments, number: ndarray, like: Tensor) -> Lines:
 def _vertices(found: Segments, number: ndarray, tolerances: Tolerances, like: Tensor) -> Vertices:
     """Where ends of three lines meet; of more lines every three that do not lie in one plane."""
     triples, points = _meeting(found, 0.5 * tolerances.least_length)
-    inwards = found.direction[triples] * np.where(triples_first(found, triples, points), 1.0, -1.0)[
-        ..., None
-    ]
+    starts_there = _nearest_end(found, triples, points) == 0
+    inwards = found.direction[triples] * np.where(starts_there, 1.0, -1.0)[..., None]
     one, two = inwards[:, [0, 0, 1]], inwards[:, [1, 2, 2]]
     sine = np.linalg.norm(np.cross(one, two), axis=-1)
     angles = np.sort(np.arctan2(sine, (one * two).sum(-1)), axis=1)
@@ -161,10 +160,9 @@ def _vertices(found: Segments, number: ndarray, tolerances: Tolerances, like: Te
     )
 
 
-def triples_first(found: Segments, triples: ndarray, points: ndarray) -> ndarray:
-    """Whether each line's first end is the one at the point."""
-    away = np.linalg.norm(found.ends[triples] - points[:, None, None], axis=-1)
-    return away[..., 0] < away[..., 1]
+def _nearest_end(found: Segments, triples: ndarray, points: ndarray) -> ndarray:
+    """Which end of each line is the one at the point."""
+    return np.linalg.norm(found.ends[triples] - points[:, None, None], axis=-1).argmin(-1)
 
 
 def _meeting(found: Segments, reach: float) -> tuple[ndarray, ndarray]:
