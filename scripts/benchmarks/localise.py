@@ -36,11 +36,12 @@ ABOUT = """\
 The pose of a sensor in a machine hall from one range image (4.2 of the paper: 512 x 512, 50
 degrees, N = 10, sigma 5 cm), with `scripts/benchmark.py localise --trials {trials} --seed {seed}`.
 The images are made by casting rays, with supersampling; all programs get the same ones, take turns,
-and know the mesh of the hall beforehand. Found is within {found} m and {found} rad of the truth; rms
-of the norms of the errors, over what was found. Seconds are the median over the images. {versions}.
+and know the mesh of the hall beforehand. Found is within {found} m and {found} rad of the truth;
+rms of the norms of the errors, over what was found. Seconds are the median over the images.
+{versions}.
 
-- ICP and GICP: points are means of 4 x 4 pixels, the model's points what rays meet from the starting
-  value, in a wider view; three runs with ever nearer partners.
+- ICP and GICP: points are means of 4 x 4 pixels, the model's points what rays meet from the
+  starting value, in a wider view; four runs with ever nearer partners.
 - FPFH + RANSAC: features of the image's points and of points all over the hall; then the same ICP.
 """
 
@@ -112,7 +113,9 @@ def compare(programs: list[Program], trials: list[RangeTrial]) -> list[Row]:
     for trial in (trials[0], *trials):  # the first warms up
         for name, call in calls.items():
             runs[name].append(timed(partial(call, trial)))
-    return [program.absent or _row(program.name, runs[program.name][1:], trials) for program in programs]
+    return [
+        program.absent or _row(program.name, runs[program.name][1:], trials) for program in programs
+    ]
 
 
 def _pose(localise: Localise, trial: RangeTrial) -> Tensor:
@@ -124,11 +127,10 @@ def _row(name: str, runs: list[Timed[Tensor]], trials: list[RangeTrial]) -> Row:
     truth = torch.stack([trial.T_world_sensor for trial in trials])
     position, rotation = range_trials.errors(T, truth)
     found = (position < FOUND) & (rotation < FOUND)
-    cells = {
-        "found": f"{int(found.sum())} of {len(trials)}",
-        "position rms": f"{1e3 * _rms(position[found]):.2f} mm",
-        "rotation rms": f"{1e3 * _rms(rotation[found]):.2f} mrad",
-    }
+    cells = {"found": f"{int(found.sum())} of {len(trials)}"}
+    if found.any():
+        cells["position rms"] = f"{1e3 * _rms(position[found]):.2f} mm"
+        cells["rotation rms"] = f"{1e3 * _rms(rotation[found]):.2f} mrad"
     return Row(program=name, cells=cells, seconds=median(run.seconds for run in runs))
 
 

@@ -23,10 +23,8 @@ BLOCK = 4
 """Pixels: side of the squares of the image whose mean is one point; it lowers the noise."""
 MARGIN = 0.2
 """How much wider than the image the view of the model is, on each side."""
-NEAR = (0.5, 0.25, 0.15)
-"""m: how far partners may be, from the first run of an ICP to its last."""
-TUKEY = 0.05
-"""m"""
+RUNS = ((2.0, 1.0), (1.0, 0.5), (0.5, 0.2), (0.15, 0.05))
+"""m: how far partners may be in each run, and c of ICP's Tukey kernel."""
 DENSITY = 400.0
 """Points on a square metre of the model, for features."""
 VOXEL = 0.02
@@ -62,7 +60,7 @@ def model_points(
 
 
 def open3d_icp(mesh: trimesh.Trimesh, sensor: Sensor) -> Localise:
-    """Point-to-plane ICP with a Tukey kernel, from coarse to fine."""
+    """Point-to-plane ICP with a Tukey kernel, with ever nearer partners."""
     o3d = _open3d()
 
     def localise(image: Tensor, start: Tensor | None) -> Tensor:
@@ -99,7 +97,7 @@ def open3d_features(mesh: trimesh.Trimesh, sensor: Sensor) -> Localise:
 
 
 def small_gicp(mesh: trimesh.Trimesh, sensor: Sensor) -> Localise:
-    """GICP of small_gicp, from coarse to fine."""
+    """GICP of small_gicp, with ever nearer partners."""
     program: Any = import_module("small_gicp")
 
     def localise(image: Tensor, start: Tensor | None) -> Tensor:
@@ -108,7 +106,7 @@ def small_gicp(mesh: trimesh.Trimesh, sensor: Sensor) -> Localise:
         seen, _ = model_points(mesh, sensor, T)
         target, tree = program.preprocess_points(seen, VOXEL, num_threads=2)
         source, _ = program.preprocess_points(image_points(image, sensor), VOXEL, num_threads=2)
-        for near in NEAR:
+        for near, _ in RUNS:
             T = program.align(
                 target,
                 source,
@@ -139,10 +137,10 @@ def _icp(
     target.normals = o3d.utility.Vector3dVector(normals)
     source = _cloud(o3d, image_points(image, sensor))
     registration = o3d.pipelines.registration
-    kernel = registration.TukeyLoss(k=TUKEY)
-    estimate = registration.TransformationEstimationPointToPlane(kernel)
     criteria = registration.ICPConvergenceCriteria(max_iteration=ITERATIONS)
-    for near in NEAR:
+    for near, cutoff in RUNS:
+        kernel = registration.TukeyLoss(k=cutoff)
+        estimate = registration.TransformationEstimationPointToPlane(kernel)
         T = registration.registration_icp(
             source, target, near, T, estimate, criteria
         ).transformation

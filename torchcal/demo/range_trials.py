@@ -86,9 +86,7 @@ def draw_trial(
     scene = raycast.view(meshes_in_world(world), T_world_sensor.numpy())
     predicted = raycast.predict(scene, sensor.projection, sensor.beam)
     measured = raycast.measure(predicted, sensor, noise)
-    trial = RangeTrial(
-        T_world_sensor=T_world_sensor, start=None, range=torch.from_numpy(measured)
-    )
+    trial = RangeTrial(T_world_sensor=T_world_sensor, start=None, range=torch.from_numpy(measured))
     return with_start(trial, seed, number, offset)
 
 

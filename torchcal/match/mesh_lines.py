@@ -37,7 +37,7 @@ class Segments:
 
     @property
     def length(self) -> Float[ndarray, " line"]:
-        """m"""
+        """From end to end (m)."""
         return np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1)
 
     def rows(self, rows: ndarray) -> "Segments":

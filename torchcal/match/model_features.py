@@ -1,26 +1,23 @@
 """Vertexes, lines and planes of a model with their characteristic values (3.1, 3.2)."""
 
+import math
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchcal.match.contacts import find_contacts, without_buried
+from torchcal.match.corners import Corners, find_corners, with_ends_at
 from torchcal.match.elements import Elements
 from torchcal.match.features import Features, Lines, Planes, Vertices
 from torchcal.match.mesh_lines import Segments, find_creases, find_limbs
 from torchcal.match.mesh_regions import Mesh, Regions, find_regions
-from torchcal.match.outlines import find_borders, outline
+from torchcal.match.outlines import Borders, find_borders, outline
 from torchcal.match.tolerances import Tolerances
 from torchcal.model.scene import Surface
-
-MOST_AT_A_VERTEX = 5
-"""Lines that may meet in a point: more are the tip of a cone, and no three of them tell it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,36 +66,51 @@ def find_model_features(
     tolerances = tolerances or Tolerances.of_size(float(np.ptp(mesh.vertices, axis=0).max()))
     regions = find_regions(mesh, tolerances)
     borders = find_borders(mesh, regions)
+    reach = 0.5 * tolerances.least_length
     creases = find_creases(mesh, regions, tolerances)
-    gap = 0.5 * tolerances.least_length
-    contacts = find_contacts(regions, borders, creases.regions, tolerances, gap)
-    lines = Segments.join(without_buried(creases, contacts, gap), contacts)
+    contacts = find_contacts(regions, borders, creases.regions, tolerances, reach)
+    lines = Segments.join(without_buried(creases, contacts, reach), contacts)
     limbs = find_limbs(mesh, regions, tolerances)
-    plane_regions = np.flatnonzero(regions.is_plane)
-    number = np.full(len(regions.area) + 1, -1)
-    number[plane_regions] = np.arange(len(plane_regions))
+    corners = find_corners(lines, reach, math.sin(tolerances.crease) ** 2)
+    lines = with_ends_at(lines, corners)
     region_body = np.zeros(len(regions.area), np.int64)
     region_body[regions.of_face] = body[mesh.faces[:, 0]]
-    like = surface.vertices
-    outlines = tuple(outline(borders[region], regions.normal[region]) for region in plane_regions)
-    vertices = _vertices(lines, number, tolerances, like)
+    return _as_tensors(
+        mesh, regions, borders, lines, limbs, corners, region_body, like=surface.vertices
+    )
+
+
+def _as_tensors(
+    mesh: Mesh,
+    regions: Regions,
+    borders: Borders,
+    lines: Segments,
+    limbs: Segments,
+    corners: Corners,
+    region_body: ndarray,
+    *,
+    like: Tensor,
+) -> ModelFeatures:
+    rows = np.flatnonzero(regions.is_plane)
+    number = np.full(len(regions.area) + 1, -1)
+    number[rows] = np.arange(len(rows))
     line_body = _bodies(lines, region_body)
     return ModelFeatures(
         features=Features(
-            planes=_planes(regions, plane_regions, outlines, like),
+            planes=_planes(regions, borders, rows, like),
             lines=_lines(lines, number, like),
-            vertices=vertices,
+            vertices=_vertices(corners, like),
         ),
-        plane_body=_index(region_body[plane_regions], like),
+        plane_body=_index(region_body[rows], like),
         line_body=_index(line_body, like),
-        vertex_body=_index(line_body[vertices.lines.cpu().numpy(), 0], like),
+        vertex_body=_index(line_body[corners.lines, 0], like),
         limbs=_lines(limbs, number, like),
         limb_body=_index(_bodies(limbs, region_body), like),
         face_plane=_index(number[regions.of_face], like),
         face_region=_index(regions.of_face, like),
         line_regions=_index(lines.regions, like),
         limb_regions=_index(limbs.regions, like),
-        triangles=torch.as_tensor(mesh.vertices[mesh.faces]).to(like),
+        triangles=_values(mesh.vertices[mesh.faces], like),
     )
 
 
@@ -113,14 +125,12 @@ def _mesh_in_world(surface: Surface, Ts_world_body: Tensor) -> tuple[Mesh, ndarr
     return Mesh.of(vertices, faces, edges, edge_faces), body
 
 
-def _planes(
-    regions: Regions, rows: ndarray, outlines: tuple[ndarray, ...], like: Tensor
-) -> Planes:
+def _planes(regions: Regions, borders: Borders, rows: ndarray, like: Tensor) -> Planes:
     area = _values(regions.area[rows], like)
+    point, normal = (_values(table[rows], like) for table in (regions.point, regions.normal))
+    outlines = (outline(borders[region], regions.normal[region]) for region in rows)
     return Planes(
-        elements=Elements.planes(
-            _values(regions.point[rows], like), _values(regions.normal[rows], like)
-        ),
+        elements=Elements.planes(point, normal),
         area=area,
         area_sigma=torch.zeros_like(area),
         outline=tuple(_values(corners, like) for corners in outlines),
@@ -142,43 +152,13 @@ def _lines(found: Segments, number: ndarray, like: Tensor) -> Lines:
     )
 
 
-def _vertices(found: Segments, number: ndarray, tolerances: Tolerances, like: Tensor) -> Vertices:
-    """Where ends of three lines meet; of more lines every three that do not lie in one plane."""
-    triples, points = _meeting(found, 0.5 * tolerances.least_length)
-    starts_there = _nearest_end(found, triples, points) == 0
-    inwards = found.direction[triples] * np.where(starts_there, 1.0, -1.0)[..., None]
-    one, two = inwards[:, [0, 0, 1]], inwards[:, [1, 2, 2]]
-    sine = np.linalg.norm(np.cross(one, two), axis=-1)
-    angles = np.sort(np.arctan2(sine, (one * two).sum(-1)), axis=1)
-    kept = np.abs(np.linalg.det(inwards)) > np.sin(tolerances.crease) ** 2
-    values = _values(angles[kept], like)
+def _vertices(corners: Corners, like: Tensor) -> Vertices:
+    angles = _values(corners.angles, like)
     return Vertices(
-        elements=Elements.points(_values(points[kept], like)),
-        lines=_index(triples[kept], like),
-        angles=values,
-        angles_sigma=torch.zeros_like(values),
-    )
-
-
-def _nearest_end(found: Segments, triples: ndarray, points: ndarray) -> ndarray:
-    """Which end of each line is the one at the point."""
-    return np.linalg.norm(found.ends[triples] - points[:, None, None], axis=-1).argmin(-1)
-
-
-def _meeting(found: Segments, reach: float) -> tuple[ndarray, ndarray]:
-    """Triples of lines with ends in one place, and the place."""
-    ends = found.ends.reshape(-1, 3)
-    triples, points = [], []
-    if len(ends):
-        groups = KDTree(ends).query_ball_point(ends, reach)
-        for group in sorted({tuple(sorted(each)) for each in groups}):
-            lines = sorted({end // 2 for end in group})
-            if 3 <= len(lines) <= MOST_AT_A_VERTEX:
-                triples += combinations(lines, 3)
-                points += [ends[list(group)].mean(0)] * (len(triples) - len(points))
-    return (
-        np.array(triples, np.int64).reshape(-1, 3),
-        np.array(points).reshape(-1, 3),
+        elements=Elements.points(_values(corners.points, like)),
+        lines=_index(corners.lines, like),
+        angles=angles,
+        angles_sigma=torch.zeros_like(angles),
     )
 
 

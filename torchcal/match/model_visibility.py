@@ -176,9 +176,7 @@ def _lengths(
     """Pixels that are seen of each group of places (-1: of none), and whether mostly as a jump."""
     rows = group >= 0
     as_crease, as_jump = (
-        torch.zeros(count)
-        .to(places.step)
-        .index_add(0, group[rows], (places.step * state)[rows])
+        torch.zeros(count).to(places.step).index_add(0, group[rows], (places.step * state)[rows])
         for state in (crease, edge)
     )
     return as_crease + as_jump, as_jump > as_crease
@@ -249,9 +247,7 @@ def _places_along(ends: Tensor, projection: Projection) -> _Places:
     )
 
 
-def _before_sensor(
-    ends: Tensor, projection: Projection
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _before_sensor(ends: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Lines cut off where their range is below ``CLOSE``, and the shares at which they are cut."""
     a, b = ends.unbind(1)
     near_a, near_b = projection.ranges(a) - CLOSE, projection.ranges(b) - CLOSE

@@ -28,8 +28,8 @@ class Tolerances:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
         if self.angle >= self.crease:
             raise ValueError(
-                f"angle is {self.angle} and crease {self.crease}; triangles of a plane must meet at "
-                "less than the angle of a line"
+                f"angle is {self.angle} and crease {self.crease}; triangles of a plane must meet "
+                "at less than the angle of a line"
             )
 
     @staticmethod
