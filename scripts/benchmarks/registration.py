@@ -153,7 +153,8 @@ def _features(o3d: Any, cloud: Any) -> tuple[Any, Any]:
 
 
 def _sampled(o3d: Any, mesh: trimesh.Trimesh) -> Any:
-    points, faces = trimesh.sample.sample_surface(mesh, int(DENSITY * mesh.area), seed=0)
+    drawn: Any = trimesh.sample.sample_surface(mesh, int(DENSITY * mesh.area), seed=0)
+    points, faces = drawn
     cloud = _cloud(o3d, points)
     cloud.normals = o3d.utility.Vector3dVector(mesh.face_normals[faces])
     return cloud

@@ -6,6 +6,7 @@ it expects. Both sides are in the order planes, lines, vertexes.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -69,32 +70,37 @@ def find_candidates(
     """
     if not gamma > 0.0:
         raise ValueError(f"gamma is {gamma}; it must be above 0")
-    kinds = (
-        (_compare_planes, match_planes, model.planes, measured.planes),
-        (_compare_lines, match_lines, model.lines, measured.lines),
-        (_compare_vertices, match_points, model.vertices, measured.vertices),
+    planes, lines, vertices = (
+        _compare_planes(model.planes, measured.planes),
+        _compare_lines(model.lines, measured.lines),
+        _compare_vertices(model.vertices, measured.vertices),
     )
-    blocks = []
-    for compare, match, own, others in kinds:
-        values = compare(own, others)
-        expected = prior and (lambda rows, a=own, b=others, f=match: f(a, b, prior, *rows))
-        blocks.append(_likelihood(values, expected, gamma))
-    likelihood = _block_diagonal(blocks)
+    if prior is not None:
+        planes = _expected(
+            partial(match_planes, model.planes, measured.planes, prior), planes, gamma
+        )
+        lines = _expected(partial(match_lines, model.lines, measured.lines, prior), lines, gamma)
+        vertices = _expected(
+            partial(match_points, model.vertices, measured.vertices, prior), vertices, gamma
+        )
+    likelihood = _block_diagonal([_within(match, gamma) for match in (planes, lines, vertices)])
     return Candidates(matrix=likelihood > -torch.inf, log_likelihood=likelihood)
 
 
-def _likelihood(
-    values: Match, expected: Callable[[tuple[Tensor, ...]], Match] | None, gamma: float
-) -> Tensor:
-    """-inf where values or residuals are beyond the threshold."""
-    near = values.distance < gamma
-    likelihood = torch.where(near, values.log_likelihood, -torch.inf)
-    if expected is None:
-        return likelihood
-    rows = near.nonzero(as_tuple=True)
-    found = expected(rows)
-    more = torch.where(found.distance < gamma, found.log_likelihood, -torch.inf)
-    return likelihood.index_put(rows, likelihood[rows] + more)
+def _expected(match: Callable[[Tensor, Tensor], Match], values: Match, gamma: float) -> Match:
+    """What the prior says as well, of those pairs whose values agree."""
+    rows = (values.distance < gamma).nonzero(as_tuple=True)
+    found = match(*rows)
+    likelihood = values.log_likelihood[rows] + found.log_likelihood
+    return Match(
+        distance=torch.full_like(values.distance, torch.inf).index_put(rows, found.distance),
+        log_likelihood=values.log_likelihood.index_put(rows, likelihood),
+    )
+
+
+def _within(match: Match, gamma: float) -> Tensor:
+    """The likelihoods, -inf beyond the threshold."""
+    return torch.where(match.distance < gamma, match.log_likelihood, -torch.inf)
 
 
 def _block_diagonal(blocks: list[Tensor]) -> Tensor:

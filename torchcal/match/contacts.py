@@ -20,7 +20,7 @@ from torchcal.match.tolerances import Tolerances
 def find_contacts(
     regions: Regions,
     borders: Borders,
-    known: Int[ndarray, "pair 2"],
+    known: Int[ndarray, "known 2"],
     tolerances: Tolerances,
     gap: float,
 ) -> Segments:
@@ -56,7 +56,7 @@ def find_contacts(
 def _near_pairs(
     regions: Regions,
     borders: Borders,
-    known: Int[ndarray, "pair 2"],
+    known: Int[ndarray, "known 2"],
     tolerances: Tolerances,
     gap: float,
 ) -> Int[ndarray, "pair 2"]:

@@ -1,6 +1,5 @@
 """Triangles that lie in one plane (3.1 (2) for a model). Numpy: a model is taken apart once."""
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,39 +135,33 @@ def _grown(
     """Regions about seeds, the largest triangle first, of what lies in the seed's plane."""
     neighbours = _neighbours(len(mesh.faces), links)
     corners = mesh.vertices[mesh.faces]
-    label = np.full(len(mesh.faces), -1)
+    label = np.where(open_faces, -1, -2)
     number = 0
-    least = np.cos(tolerances.angle)
     for seed in np.argsort(-mesh.areas, kind="stable"):
-        if label[seed] >= 0 or not open_faces[seed]:
+        if label[seed] != -1:
             continue
         normal, point = mesh.normals[seed], corners[seed, 0]
-        fits = (mesh.normals @ normal >= least) & (label < 0) & open_faces
-        near = np.flatnonzero(fits)
-        height = np.abs((corners[near] - point) @ normal).max(1)
-        fits[near] = height <= tolerances.distance
-        _flood(seed, fits, neighbours, label, number)
+        layer = np.array([seed])
+        while len(layer):
+            label[layer] = number
+            layer = np.unique(neighbours[layer])
+            layer = layer[(layer >= 0) & (label[layer] == -1)]
+            height = np.abs((corners[layer] - point) @ normal).max(1, initial=0.0)
+            turned = mesh.normals[layer] @ normal < np.cos(tolerances.angle)
+            layer = layer[~turned & (height <= tolerances.distance)]
         number += 1
     return label
 
 
-def _flood(
-    seed: int, fits: ndarray, neighbours: list[ndarray], label: ndarray, number: int
-) -> None:
-    label[seed] = number
-    waiting = deque([seed])
-    while waiting:
-        for face in neighbours[waiting.popleft()]:
-            if fits[face] and label[face] < 0:
-                label[face] = number
-                waiting.append(face)
-
-
-def _neighbours(count: int, links: ndarray) -> list[ndarray]:
+def _neighbours(count: int, links: ndarray) -> Int[ndarray, "face 3"]:
+    """The triangles across each one's sides; -1 where there is none."""
     both = np.concatenate([links, links[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
-    ends = np.cumsum(np.bincount(both[:, 0], minlength=count))
-    return np.split(both[:, 1], ends[:-1])
+    sizes = np.bincount(both[:, 0], minlength=count)
+    place = np.arange(len(both)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    table = np.full((count, 3), -1)
+    table[both[:, 0], place] = both[:, 1]
+    return table
 
 
 def _are_facets(

@@ -19,6 +19,9 @@ from torchcal.match.outlines import Borders, find_borders, outline
 from torchcal.match.tolerances import Tolerances
 from torchcal.model.scene import Surface
 
+APART = 0.25
+"""Of the least length: how far from one another surfaces meet, and lines end in one corner."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModelFeatures:
@@ -66,7 +69,7 @@ def find_model_features(
     tolerances = tolerances or Tolerances.of_size(float(np.ptp(mesh.vertices, axis=0).max()))
     regions = find_regions(mesh, tolerances)
     borders = find_borders(mesh, regions)
-    reach = 0.5 * tolerances.least_length
+    reach = APART * tolerances.least_length
     creases = find_creases(mesh, regions, tolerances)
     contacts = find_contacts(regions, borders, creases.regions, tolerances, reach)
     lines = Segments.join(without_buried(creases, contacts, reach), contacts)

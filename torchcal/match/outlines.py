@@ -6,7 +6,7 @@ from numpy import ndarray
 
 from torchcal.match.mesh_regions import Mesh, Regions
 
-Borders = tuple[Float[ndarray, "segment 2 3"], ...]
+Borders = tuple[Float[ndarray, "_ 2 3"], ...]
 """The border segments (m) of each region, in the sense of its triangles and in no order."""
 
 

@@ -130,7 +130,7 @@ def _along(axes: Tensor, vector: Tensor) -> Tensor:
 
 
 def _turned(axes: Tensor, direction: Tensor, cosine: Tensor) -> Tensor:
-    """The angle between directions, along the axes across; a sine alone would not tell 0 from pi."""
+    """The angle between directions, along the axes across: a sine does not tell 0 from pi."""
     parts = _along(axes, direction)
     sine = parts.norm(dim=-1)
     angle = torch.atan2(sine, cosine)
