@@ -74,6 +74,8 @@ class Regions:
     """m^2"""
     is_plane: Bool[ndarray, " region"]
     """Large enough, and no facet of a curved surface."""
+    patch: Int[ndarray, " region"]
+    """The curved surface that each is part of: regions that meet without a crease."""
 
 
 def find_regions(mesh: Mesh, tolerances: Tolerances) -> Regions:
@@ -82,10 +84,13 @@ def find_regions(mesh: Mesh, tolerances: Tolerances) -> Regions:
     label = _connected(mesh, bends < tolerances.angle)
     label = _split_where_curved(mesh, label, bends, tolerances)
     normal, point, area = _fitted(mesh, label)
-    is_plane = (area >= tolerances.least_area) & ~_are_facets(
-        mesh, label, area, bends < tolerances.crease
+    is_smooth = bends < tolerances.crease
+    is_plane = (area >= tolerances.least_area) & ~_are_facets(mesh, label, area, is_smooth)
+    patch = np.zeros(len(area), np.int64)
+    patch[label] = _connected(mesh, is_smooth)
+    return Regions(
+        of_face=label, normal=normal, point=point, area=area, is_plane=is_plane, patch=patch
     )
-    return Regions(of_face=label, normal=normal, point=point, area=area, is_plane=is_plane)
 
 
 def _connected(mesh: Mesh, joins: Bool[ndarray, " edge"]) -> Int[ndarray, " face"]:

@@ -41,6 +41,9 @@ class ModelFeatures:
     """The plane that each triangle is part of; -1: curved or too small."""
     face_region: Int[Tensor, " face"]
     """The flat region of each triangle: planes, and facets of curved surfaces."""
+    region_normal: Float[Tensor, "region 3"]
+    region_patch: Int[Tensor, " region"]
+    """The surface without a crease that each region is part of."""
     line_regions: Int[Tensor, "line 2"]
     """The regions beside each line; -1 at a border."""
     limb_regions: Int[Tensor, "limb 2"]
@@ -111,6 +114,8 @@ def _as_tensors(
         limb_body=_index(_bodies(limbs, region_body), like),
         face_plane=_index(number[regions.of_face], like),
         face_region=_index(regions.of_face, like),
+        region_normal=_values(regions.normal, like),
+        region_patch=_index(regions.patch, like),
         line_regions=_index(lines.regions, like),
         limb_regions=_index(limbs.regions, like),
         triangles=_values(mesh.vertices[mesh.faces], like),

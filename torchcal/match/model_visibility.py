@@ -12,14 +12,9 @@ from torch import Tensor
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.match.features import LineKind, Lines
+from torchcal.match.line_places import BESIDE, Places, places_along
 from torchcal.match.model_features import ModelFeatures
 
-STEP = 2.0
-"""Pixels between the places on a line that are looked at."""
-BESIDE = 1.5
-"""Pixels from a line to the places beside it."""
-CLOSE = 0.05
-"""m: lines are cut off where they come nearer to the sensor."""
 GAP = 4
 """Places in a row that are not seen part a line into pieces."""
 INVISIBLE = -1
@@ -78,9 +73,15 @@ def visible(
     T_sensor_world = se3.inverse(T_world_sensor)
     view = _View.of(model, T_sensor_world, projection, face)
     area, pixels = _seen_planes(model, view)
+    lines, limbs = (
+        places_along(se3.transform(T_sensor_world, part.ends), projection)
+        for part in (model.features.lines, model.limbs)
+    )
+    states = _line_states(lines, model.line_regions, view, jump)
+    limb_states = _limb_states(limbs, model, view, jump)
     return Seen(
-        lines=_seen_lines(model.features.lines, model.line_regions, T_world_sensor, view, jump),
-        limbs=_seen_lines(model.limbs, model.limb_regions, T_world_sensor, view, jump),
+        lines=_seen_lines(model.features.lines, lines, states, T_world_sensor),
+        limbs=_seen_lines(model.limbs, limbs, limb_states, T_world_sensor),
         plane_area=area,
         plane_pixels=pixels,
     )
@@ -144,10 +145,9 @@ def _seen_planes(model: ModelFeatures, view: _View) -> tuple[Tensor, Tensor]:
 
 
 def _seen_lines(
-    lines: Lines, regions: Tensor, T_world_sensor: Tensor, view: _View, jump: float
+    lines: Lines, places: Places, states: tuple[Tensor, Tensor], T_world_sensor: Tensor
 ) -> SeenLines:
-    places = _places_along(se3.transform(view.T_sensor_world, lines.ends), view.projection)
-    crease, edge = _states(places, regions, view, jump)
+    crease, edge = states
     count = len(lines.kind)
     pixels, is_jump = _lengths(places, crease, edge, places.line, count)
     kind = torch.where(is_jump, LineKind.JUMP.value, lines.kind)
@@ -171,7 +171,7 @@ def _seen_lines(
 
 
 def _lengths(
-    places: "_Places", crease: Tensor, edge: Tensor, group: Tensor, count: int
+    places: Places, crease: Tensor, edge: Tensor, group: Tensor, count: int
 ) -> tuple[Tensor, Tensor]:
     """Pixels that are seen of each group of places (-1: of none), and whether mostly as a jump."""
     rows = group >= 0
@@ -182,7 +182,7 @@ def _lengths(
     return as_crease + as_jump, as_jump > as_crease
 
 
-def _pieces(places: "_Places", seen: Tensor) -> Tensor:
+def _pieces(places: Places, seen: Tensor) -> Tensor:
     """The number of the piece that each place is in; -1 where it is not seen."""
     rows = seen.nonzero()[:, 0]
     begins = torch.ones_like(rows, dtype=torch.bool)
@@ -200,74 +200,39 @@ def _borders(piece: Tensor) -> tuple[Tensor, Tensor]:
     return rows[begins], rows[ends]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Places:
-    """Places on lines, one line after the other."""
-
-    line: Tensor
-    share: Tensor
-    """0 to 1 along the line."""
-    point: Tensor
-    """In the sensor's frame (m)."""
-    pixel: Tensor
-    across: Tensor
-    """Of unit length in the image, across the line."""
-    step: Tensor
-    """Pixels of the line that the place stands for; 0 outside the image."""
-
-
-def _places_along(ends: Tensor, projection: Projection) -> _Places:
-    """Places at equal steps in the image, about."""
-    a, b, low, high = _before_sensor(ends, projection)
-    exists = high > low
-    rough = (projection.pixels(a) - projection.pixels(b)).norm(dim=-1)
-    most = 2 * (projection.width + projection.height)
-    count = (rough.nan_to_num(0.0, 0.0) / STEP).clamp(2, most).ceil().long() * exists
-    line = torch.repeat_interleave(torch.arange(len(count), device=a.device), count)
-    place = torch.arange(len(line), device=a.device) - (count.cumsum(0) - count)[line]
-    turn = (place + 0.5) / count[line]
-    near, far = turn / b.norm(dim=-1)[line], (1.0 - turn) / a.norm(dim=-1)[line]
-    part = near / (near + far)
-    point = a[line] + part[:, None] * (b - a)[line]
-    pixel = projection.pixels(point)
-    ahead = projection.pixels(point + 1e-4 * (b - a)[line]) - pixel
-    along = torch.nn.functional.normalize(ahead, dim=-1)
-    u, v = pixel.unbind(-1)
-    inside = (u > BESIDE) & (v > BESIDE)
-    inside &= (u < projection.width - 1 - BESIDE) & (v < projection.height - 1 - BESIDE)
-    speed = ahead.norm(dim=-1) * 1e4
-    derivative = part * (1.0 - part) / (turn * (1.0 - turn)) / count[line]
-    return _Places(
-        line=line,
-        share=low[line] + part * (high - low)[line],
-        point=point,
-        pixel=pixel,
-        across=torch.stack([-along[:, 1], along[:, 0]], -1),
-        step=torch.where(inside, speed * derivative, 0.0),
-    )
-
-
-def _before_sensor(ends: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Lines cut off where their range is below ``CLOSE``, and the shares at which they are cut."""
-    a, b = ends.unbind(1)
-    near_a, near_b = projection.ranges(a) - CLOSE, projection.ranges(b) - CLOSE
-    cut = near_a / (near_a - near_b)
-    low = torch.where(near_a > 0.0, 0.0, torch.where(near_b > 0.0, cut, 1.0))
-    high = torch.where(near_b > 0.0, 1.0, torch.where(near_a > 0.0, cut, 0.0))
-    return a + low[:, None] * (b - a), a + high[:, None] * (b - a), low, high
-
-
-def _states(places: _Places, regions: Tensor, view: _View, jump: float) -> tuple[Tensor, Tensor]:
+def _line_states(
+    places: Places, regions: Tensor, view: _View, jump: float
+) -> tuple[Tensor, Tensor]:
     """Where lines are seen as creases, and where as jumps."""
     own = regions[places.line]
-    (left, left_range), (right, right_range) = (
-        view.look(places.pixel + side * BESIDE * places.across) for side in (1.0, -1.0)
-    )
+    (left, left_range), (right, right_range) = _beside(places, view)
     inside = places.step > 0.0
-    left_is = [left == own[:, side] for side in (0, 1)]
-    right_is = [right == own[:, side] for side in (0, 1)]
-    crease = (left_is[0] & right_is[1]) | (left_is[1] & right_is[0])
-    left_own, right_own = left_is[0] | left_is[1], right_is[0] | right_is[1]
-    deeper = right_range - left_range
-    edge = (left_own & ~right_own & (deeper > jump)) | (right_own & ~left_own & (-deeper > jump))
+    left_is, right_is = left[:, None] == own, right[:, None] == own
+    crease = (left_is & right_is.flip(1)).any(1)
+    edge = _jumps(left_is.any(1), right_is.any(1), right_range - left_range, jump)
     return crease & inside, edge & inside
+
+
+def _limb_states(
+    places: Places, model: ModelFeatures, view: _View, jump: float
+) -> tuple[Tensor, Tensor]:
+    """Nowhere, and where curved surfaces turn away: the next facet faces the other way."""
+    regions = model.limb_regions[places.line]
+    normal = model.region_normal[regions] @ view.T_sensor_world[:3, :3].mT
+    facing = (normal * places.point[:, None]).sum(-1) < 0.0
+    (left, left_range), (right, right_range) = _beside(places, view)
+    patch = torch.cat([model.region_patch, model.region_patch.new_tensor([-1, -1])])
+    own = patch[regions[:, 0]]
+    edge = _jumps(patch[left] == own, patch[right] == own, right_range - left_range, jump)
+    turns = facing[:, 0] != facing[:, 1]
+    return torch.zeros_like(edge), edge & turns & (places.step > 0.0)
+
+
+def _beside(places: Places, view: _View) -> list[tuple[Tensor, Tensor]]:
+    """Regions and ranges on both sides."""
+    return [view.look(places.pixel + side * BESIDE * places.across) for side in (1.0, -1.0)]
+
+
+def _jumps(left_own: Tensor, right_own: Tensor, deeper: Tensor, jump: float) -> Tensor:
+    """Where one side is the line's own surface and the other, the farther one, is not."""
+    return (left_own & ~right_own & (deeper > jump)) | (right_own & ~left_own & (-deeper > jump))
