@@ -17,7 +17,7 @@ from torch import Tensor
 from torchcal.demo import raycast
 from torchcal.demo.machine_hall import machine_hall, random_view
 from torchcal.geometry import se3
-from torchcal.geometry.projection import Pinhole
+from torchcal.geometry.projection import Pinhole, Projection
 from torchcal.model.sensor import Drift, Noise, Sensor
 from torchcal.model.world import World
 
@@ -27,9 +27,10 @@ SIGMA = 0.05
 """m"""
 BEAM = 21
 """2 N + 1 with N = 10."""
-STEPS = (1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 5e-4)
-"""m and rad: a tenth of a pixel, of which the ray caster's samples resolve a hundredth in the mean
-over the pixels of an edge."""
+STEP = 0.25
+"""Pixels by which the image moves in a difference; the ray caster's samples are 1/16 apart."""
+DISTANCE = 2.0
+"""m: where a step of the position moves the image by so much."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -133,7 +134,7 @@ def cramer_rao(
     *,
     sensor: Sensor | None = None,
     world: World | None = None,
-    steps: Sequence[float] = STEPS,
+    step: float = STEP,
 ) -> Float[Tensor, "6 6"]:
     """The least covariance of an unbiased estimate of the pose from one image.
 
@@ -144,7 +145,7 @@ def cramer_rao(
         T_world_sensor: The true pose.
         sensor: None: that of 4.2.
         world: None: the machine hall.
-        steps: Of the differences, along each axis of the twist (m, rad).
+        step: Pixels by which the differences move the image.
     """
     sensor, world = sensor or range_sensor(), world or machine_hall()
     meshes = meshes_in_world(world)
@@ -153,10 +154,21 @@ def cramer_rao(
         pose = (T_world_sensor @ se3.exp(twist)).numpy()
         return raycast.predict(raycast.view(meshes, pose), sensor.projection, sensor.beam)
 
-    A, middle = _differences(image, steps)
+    turn = step * _pixel_angle(sensor.projection)
+    A, middle = _differences(image, [DISTANCE * turn] * 3 + [turn] * 3)
     weight = torch.from_numpy(sensor.noise.sigma(torch.from_numpy(middle)).numpy()) ** -2
     information = (A.mT * weight) @ A
     return _inverse(information)
+
+
+def _pixel_angle(projection: Projection) -> float:
+    """How far apart (rad) the rays of two neighbours in the middle are."""
+    u, v = (
+        torch.tensor((size - 1) / 2, dtype=torch.float64)
+        for size in (projection.width, projection.height)
+    )
+    along_u, _ = projection.ray_derivatives(u, v)
+    return float(along_u.norm() / projection.rays(u, v).norm())
 
 
 def _differences(

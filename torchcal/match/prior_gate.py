@@ -132,9 +132,10 @@ def _along(axes: Tensor, vector: Tensor) -> Tensor:
 def _turned(axes: Tensor, direction: Tensor, cosine: Tensor) -> Tensor:
     """The angle between directions, along the axes across: a sine does not tell 0 from pi."""
     parts = _along(axes, direction)
-    sine = parts.norm(dim=-1)
-    angle = torch.atan2(sine, cosine)
-    return parts * (angle / sine.clamp(min=1e-12))[..., None]
+    sine = parts.norm(dim=-1, keepdim=True)
+    # Opposite directions are half a turn apart about any axis.
+    towards = torch.where(sine > 1e-9, parts / sine, parts.new_tensor([1.0, 0.0]))
+    return towards * torch.atan2(sine, cosine[:, None])
 
 
 def _projected(covariance: Tensor, position: Tensor, direction: Tensor) -> Tensor:
