@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchcal.demo.range_trials import draw_trial, range_sensor, with_start
 from torchcal.geometry import se3
+from torchcal.geometry.projection import Pinhole
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
@@ -79,5 +80,6 @@ def test_points_of_blocks_are_their_means(localise: Any):
     assert len(points) == (16 // block) ** 2 - 1
     assert (points[:, 2] == 2.0).all()
     # The last block's middle is half a block from the image's border.
+    assert isinstance(sensor.projection, Pinhole)
     x = 2.0 * (8.0 - 0.5 * block) / sensor.projection.fx
     assert points[-1].tolist() == pytest.approx([x, x, 2.0])
