@@ -8,6 +8,7 @@ import torch
 from scenes import at_rest, box, surface_of
 from torch import Tensor
 
+from torchcal.calibrate.element_pose import find_element_poses
 from torchcal.geometry import se3
 from torchcal.match.characteristics import all_elements, find_candidates
 from torchcal.match.elements import Elements, Kind
@@ -186,6 +187,20 @@ def test_residuals_have_the_derivatives_of_the_prior(rng: torch.Generator):
         assert float(share[kind == each].mean()) == pytest.approx(expected, abs=0.06)
 
 
+def test_candidates_within_the_prior_lead_to_the_pose():
+    prior = prior_of((0.06, -0.05, 0.06, 0.05, -0.05, 0.05), 0.1, 0.087)
+    candidates = find_candidates(MODEL, IMAGE, prior=prior)
+    found = find_element_poses(
+        all_elements(MODEL),
+        all_elements(IMAGE),
+        candidates.matrix,
+        generator=torch.Generator().manual_seed(0),
+    )
+    # The measured elements are exact here: what is left is rounding and the iterations' end.
+    T_world_sensor = se3.inverse(found.T_measured_model)
+    torch.testing.assert_close(T_world_sensor, T_WORLD_SENSOR, atol=1e-5, rtol=0.0)
+
+
 def test_the_likeliest_are_few_and_hold_the_right_one():
     found = find_candidates(MODEL, IMAGE, prior=prior_of((0.001,) * 6, 0.01, 0.01))
     few = found.likeliest(2)
@@ -210,7 +225,7 @@ def test_nothing_measured_gives_an_empty_matrix():
     none = torch.arange(0)
     empty = Features(
         planes=Planes(
-            elements=placed(MODEL.planes.elements, torch.eye(4).double())._map(lambda v: v[none]),
+            elements=placed(MODEL.planes.elements, torch.eye(4).double())[none],
             area=none.double(),
             area_sigma=none.double(),
             outline=(),

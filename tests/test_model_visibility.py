@@ -135,3 +135,21 @@ def test_expected_elements_keep_their_numbers():
     both = (sides >= 0).all(1)
     beside = expected.planes[sides[both]]
     assert torch.equal(beside, model.features.lines.planes[expected.lines[both]])
+
+
+def test_single_precision_sees_the_same():
+    cube = turned(trimesh.creation.box((0.5, 0.5, 0.5)), (0.0, 0.0, 1.5), CORNER_ON)
+    double, single = (surface_of(cube, dtype=dtype) for dtype in (torch.float64, torch.float32))
+    grid = pixel_grid(CAMERA, dtype=torch.float64, device=torch.device("cpu"))
+    _, face = raycast.cast(raycast.view([cube], np.eye(4)), CAMERA.rays(*grid).numpy())
+    seen = []
+    for surface in (double, single):
+        model = find_model_features(surface, at_rest(surface))
+        eye = torch.eye(4, dtype=surface.vertices.dtype)
+        seen.append(visible(model, eye, CAMERA, torch.from_numpy(face), jump=JUMP))
+    assert seen[1].plane_area.dtype == torch.float32
+    assert torch.equal(seen[0].lines.kind, seen[1].lines.kind)
+    # A place at the end of a line may fall on either side.
+    torch.testing.assert_close(
+        seen[1].lines.pixels.double(), seen[0].lines.pixels, atol=STEP, rtol=0
+    )
