@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.match.elements import Elements
-from torchcal.match.features import Features, LineKind, Lines, Planes, Vertices
+from torchcal.match.features import Features, Lines, Planes, Vertices
 from torchcal.match.invariants import GAMMA
 from torchcal.match.prior_gate import Match, Prior, match_lines, match_planes, match_points
 from torchcal.match.wholes import whole_areas, whole_lengths
@@ -146,6 +146,3 @@ def _compare_lines(model: Lines, measured: Lines) -> Match:
 def _compare_vertices(model: Vertices, measured: Vertices) -> Match:
     errors = (model.angles[:, None] - measured.angles) / measured.angles_sigma
     return _compared(*errors.unbind(-1))
-
-
-assert len(SEEN_AS) == len(LineKind)
