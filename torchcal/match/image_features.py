@@ -1,0 +1,40 @@
+"""From a range image to its elements (3.1 (2))."""
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchcal.match.features import Features
+from torchcal.match.image_growth import grow_regions
+from torchcal.match.image_labels import label_pixels
+from torchcal.match.image_lines import image_lines
+from torchcal.match.image_planes import image_planes
+from torchcal.match.image_vertices import image_vertices
+from torchcal.match.image_windows import fit_windows, prepared
+from torchcal.model.sensor import Sensor
+
+STRIDE = 4
+"""Pixels from one window to the next."""
+
+
+def image_features(
+    range_image: Float[Tensor, "h w"], sensor: Sensor, mask: Bool[Tensor, "h w"] | None = None
+) -> Features:
+    """Planes, straight lines and vertexes of one range image, in the sensor's frame.
+
+    Args:
+        range_image: Depth or distance (m), as the projection has it; NaN, 0 or a value out of the
+            sensor's limits where nothing was measured.
+        sensor: Optics, beam and noise: the blur moves no border, and the noise says what is sure.
+        mask: Pixels that may be used; None: all.
+
+    Returns:
+        The elements with the covariances that the noise gives them (eq. 8).
+    """
+    image = prepared(range_image, sensor, mask)
+    side = 3 * STRIDE if sensor.beam > 2 * STRIDE else 2 * STRIDE
+    windows = fit_windows(image, side=side, stride=STRIDE)
+    planar = label_pixels(image, windows, grow_regions(windows))
+    lines = image_lines(image, planar)
+    return Features(
+        planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines)
+    )

@@ -1,0 +1,132 @@
+"""Jump edges of a range image: straight borders of nearer surfaces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from torchcal.match.features import LineKind
+from torchcal.match.image_creases import Found, dihedral
+from torchcal.match.image_edges import jump_segments
+from torchcal.match.image_labels import Planar
+from torchcal.match.image_strips import MARGIN, Strip, fit_strip
+from torchcal.match.image_windows import Image
+
+SURE = 5.0
+"""Standard deviations of a jump that is no accident."""
+SMALLEST = 0.3
+"""Standard deviations of one pixel's noise: the smallest jump."""
+PARALLEL = np.cos(np.radians(35.0))
+"""Segments that are more parallel share the room between them."""
+
+
+def jumps(image: Image, planar: Planar, shortest: float) -> list[Found]:
+    """All straight jump edges of at least some pixels."""
+    ends = jump_segments(image, shortest).ends
+    half = max(image.sensor.beam, 1) / 2 + MARGIN
+    sides = _room(ends, half)
+    found = []
+    for segment, room in zip(ends, sides, strict=True):
+        strip = fit_strip(image, segment, (float(room[0]), float(room[1])))
+        line = strip and _line(image, planar, strip)
+        if line:
+            found.append(line)
+    return found
+
+
+def _room(ends: Float[ndarray, "segment 2 2"], most: float) -> Float[ndarray, "segment 2"]:
+    """Pixels to the left and right of each segment up to half the way to the next one."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    along = along / np.maximum(length, 1e-9)[:, None]
+    normal = np.stack([along[:, 1], -along[:, 0]], -1)
+    middle = ends.mean(1)
+    apart = ends[None, :] - middle[:, None, None]
+    place = np.einsum("ijek,ik->ije", apart, along)
+    across = np.einsum("ijek,ik->ije", apart, normal).mean(-1)
+    reach = np.minimum(place.max(-1), length[:, None] / 2) - np.maximum(
+        place.min(-1), -length[:, None] / 2
+    )
+    beside = (reach > 0.3 * length[:, None]) & (np.abs(along @ along.T) > PARALLEL)
+    np.fill_diagonal(beside, False)
+    left = np.where(beside & (across > 2.0), across / 2, most).min(1, initial=most)
+    right = np.where(beside & (across < -2.0), -across / 2, most).min(1, initial=most)
+    return np.stack([left, right], -1)
+
+
+def _line(image: Image, planar: Planar, strip: Strip) -> Found | None:
+    """The line on the nearer plane; None where the range does not jump for sure."""
+    middle = strip.ends.mean(0)
+    ray, du, dv = _ray(image, middle)
+    near, far = 1.0 / (strip.m_near @ ray), 1.0 / (strip.m_far @ ray)
+    gradient = np.zeros(8)
+    gradient[:3], gradient[3:6] = near**2 * ray, -(far**2) * ray
+    sigma = float(np.sqrt(gradient @ strip.covariance @ gradient))
+    noise = float(image.sensor.noise.sigma(image.range.new_tensor(near)))
+    if not 0 < near < image.sensor.far or far - near < max(SURE * sigma, SMALLEST * noise):
+        return None
+    return _on_plane(image, planar, strip, (ray, du, dv))
+
+
+def _on_plane(
+    image: Image, planar: Planar, strip: Strip, optics: tuple[ndarray, ndarray, ndarray]
+) -> Found:
+    rays = np.stack([_ray(image, end)[0] for end in strip.ends])
+    inverse = rays @ strip.m_near
+    ends = rays / inverse[:, None]
+    length = np.linalg.norm(strip.ends[1] - strip.ends[0])
+    jacobian = np.zeros((6, 8))
+    for k, side in enumerate((0.5, -0.5)):
+        _, du, dv = _ray(image, strip.ends[k])
+        moved = du * strip.normal[0] + dv * strip.normal[1]
+        project = np.eye(3) / inverse[k] - np.outer(rays[k], strip.m_near) / inverse[k] ** 2
+        rows = slice(3 * k, 3 * k + 3)
+        jacobian[rows, :3] = -np.outer(rays[k], rays[k]) / inverse[k] ** 2
+        jacobian[rows, 6] = project @ moved
+        jacobian[rows, 7] = project @ moved * side * length
+    return _from_ends(image, planar, strip, ends, jacobian @ strip.covariance @ jacobian.T)
+
+
+def _from_ends(
+    image: Image, planar: Planar, strip: Strip, ends: Float[ndarray, "2 3"], both: ndarray
+) -> Found:
+    """Point and direction with their covariance from that of both ends."""
+    along = ends[1] - ends[0]
+    length = np.linalg.norm(along)
+    direction = along / length
+    off_axis = (np.eye(3) - np.outer(direction, direction)) / length
+    jacobian = np.block([[np.eye(3) / 2, np.eye(3) / 2], [-off_axis, off_axis]])
+    return Found(
+        pixels=strip.ends,
+        ends=ends,
+        point=ends.mean(0),
+        direction=direction,
+        covariance=jacobian @ both @ jacobian.T,
+        kind=LineKind.JUMP,
+        dihedral=np.nan,
+        dihedral_sigma=np.inf,
+        planes=_beside(image, planar, strip),
+    )
+
+
+def _beside(image: Image, planar: Planar, strip: Strip) -> tuple[int, int]:
+    """The planes that most pixels show a little way off the line: of the nearer surface first."""
+    away = max(image.sensor.beam, 1) / 2 + 2.0
+    share = np.linspace(0.1, 0.9, 17)[:, None]
+    places = strip.ends[0] + share * (strip.ends[1] - strip.ends[0])
+    h, w = planar.label.shape
+    names = []
+    for side in (1.0, -1.0):
+        u, v = np.round(places + side * away * strip.normal).astype(int).T
+        shown = planar.label[np.clip(v, 0, h - 1), np.clip(u, 0, w - 1)]
+        values, counts = np.unique(shown, return_counts=True)
+        names.append(int(values[np.argmax(counts)]))
+    return names[0], names[1]
+
+
+def _ray(image: Image, pixel: Float[ndarray, "2"]) -> tuple[ndarray, ndarray, ndarray]:
+    u, v = image.range.new_tensor(pixel)
+    projection = image.sensor.projection
+    du, dv = projection.ray_derivatives(u, v)
+    return projection.rays(u, v).numpy(), du.numpy(), dv.numpy()
