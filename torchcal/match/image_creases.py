@@ -106,9 +106,7 @@ def _of_pair(
     ]
 
 
-def _kind(
-    image: Image, planar: Planar, pair: ndarray, rows: ndarray, columns: ndarray
-) -> LineKind:
+def _kind(image: Image, planar: Planar, pair: ndarray, rows: ndarray, columns: ndarray) -> LineKind:
     """A convex crease lies before the prolongations of its planes, a concave one behind them."""
     reach = max(image.sensor.beam, 4)
     box = np.s_[
@@ -125,9 +123,7 @@ def _kind(
     return LineKind.CONVEX if votes < 0 else LineKind.CONCAVE
 
 
-def dihedral(
-    m: Float[ndarray, "2 3"], covariance: Float[ndarray, "2 3 3"]
-) -> tuple[float, float]:
+def dihedral(m: Float[ndarray, "2 3"], covariance: Float[ndarray, "2 3 3"]) -> tuple[float, float]:
     """The angle between two planes' normals and its standard deviation (rad)."""
     sizes = np.linalg.norm(m, axis=1)
     normals = m / sizes[:, None]
@@ -154,9 +150,7 @@ def _found(
     direction = across / length
     system = np.stack([m[0], m[1], direction])
     inverse = np.linalg.inv(system)
-    point, first, last = (
-        inverse @ np.array([1.0, 1.0, place]) for place in (sum(span) / 2, *span)
-    )
+    point, first, last = (inverse @ np.array([1.0, 1.0, place]) for place in (sum(span) / 2, *span))
     off_axis = (np.eye(3) - np.outer(direction, direction)) / length
     jacobian = np.zeros((6, 6))
     jacobian[:3, :3] = -np.outer(inverse[:, 0], point)

@@ -35,6 +35,4 @@ def image_features(
     windows = fit_windows(image, side=side, stride=STRIDE)
     planar = label_pixels(image, windows, grow_regions(windows))
     lines = image_lines(image, planar)
-    return Features(
-        planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines)
-    )
+    return Features(planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines))

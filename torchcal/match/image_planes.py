@@ -34,7 +34,9 @@ def image_planes(image: Image, planar: Planar) -> Planes:
     )
     patch = _patch(image, rows, columns) / (inverse**3 * m.norm(dim=-1)[plane])
     area = torch.bincount(plane, patch.abs(), minlength=count)
-    perimeter = torch.bincount(plane, torch.from_numpy(_edge(planar.label)[rows, columns]) * 1.0, minlength=count)
+    perimeter = torch.bincount(
+        plane, torch.from_numpy(_edge(planar.label)[rows, columns]) * 1.0, minlength=count
+    )
     return Planes(
         elements=_elements(m, planar.covariance * planar.excess, middle),
         area=area,

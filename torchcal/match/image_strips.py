@@ -15,7 +15,8 @@ MOST = 2500
 STEEP = 3.0
 """The standard deviation of planes' slopes before anything is measured."""
 ROUNDS = 5
-FLATTEST = 1e-9
+FLATTEST = 0.1
+"""Share of the typical inverse range below which no surface may fall in a strip."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -155,14 +156,27 @@ def _fit(
         residual = (pixels.range - model) / pixels.sigma
         jacobian = jacobian / pixels.sigma[:, None]
         information = jacobian.T @ jacobian + prior
-        step = np.linalg.solve(information, jacobian.T @ residual - prior @ values)
-        if not np.isfinite(step).all():
-            return None
+        scale = np.sqrt(np.diag(information))
+        step = (
+            np.linalg.lstsq(
+                information / np.outer(scale, scale),
+                (jacobian.T @ residual - prior @ values) / scale,
+                rcond=1e-12,
+            )[0]
+            / scale
+        )
         limit = np.array([beam / 4.0, beam / (2 * length)])
         step[6:] = np.clip(step[6:], -limit, limit)
         values = values + step
+    if not np.isfinite(values).all():
+        return None
     chi2 = float((residual**2).mean()) * len(residual) / max(len(residual) - 8, 1)
-    return values, np.linalg.pinv(information, hermitian=True), chi2
+    return (
+        values,
+        np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
+        / np.outer(scale, scale),
+        chi2,
+    )
 
 
 def _model(
@@ -187,7 +201,7 @@ def _model(
 
 def _plane(pixels: _Pixels, m: ndarray, normal: ndarray) -> tuple[ndarray, ndarray]:
     """Ranges of a plane, and how they change from pixel to pixel along a direction."""
-    inverse = np.maximum(pixels.rays @ m, FLATTEST)
+    inverse = np.maximum(pixels.rays @ m, FLATTEST / float(np.median(pixels.range)))
     slope = (pixels.slopes @ m) @ normal
     return 1.0 / inverse, -slope / inverse**2
 
