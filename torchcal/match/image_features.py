@@ -1,15 +1,16 @@
 """From a range image to its elements (3.1 (2))."""
 
-from jaxtyping import Bool, Float
+import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.match.features import Features
 from torchcal.match.image_growth import grow_regions
-from torchcal.match.image_labels import label_pixels
+from torchcal.match.image_labels import Planar, label_pixels
 from torchcal.match.image_lines import image_lines
 from torchcal.match.image_planes import image_planes
 from torchcal.match.image_vertices import image_vertices
-from torchcal.match.image_windows import fit_windows, prepared
+from torchcal.match.image_windows import Image, fit_windows, prepared
 from torchcal.model.sensor import Sensor
 
 STRIDE = 4
@@ -30,9 +31,24 @@ def image_features(
     Returns:
         The elements with the covariances that the noise gives them (eq. 8).
     """
+    image, planar = _planar(range_image, sensor, mask)
+    lines = image_lines(image, planar)
+    return Features(
+        planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines)
+    )
+
+
+def image_labels(
+    range_image: Float[Tensor, "h w"], sensor: Sensor, mask: Bool[Tensor, "h w"] | None = None
+) -> Int[Tensor, "h w"]:
+    """The plane of ``image_features`` that each pixel shows; -1 for none."""
+    return torch.from_numpy(_planar(range_image, sensor, mask)[1].label)
+
+
+def _planar(
+    range_image: Tensor, sensor: Sensor, mask: Tensor | None
+) -> tuple[Image, Planar]:
     image = prepared(range_image, sensor, mask)
     side = 3 * STRIDE if sensor.beam > 2 * STRIDE else 2 * STRIDE
     windows = fit_windows(image, side=side, stride=STRIDE)
-    planar = label_pixels(image, windows, grow_regions(windows))
-    lines = image_lines(image, planar)
-    return Features(planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines))
+    return image, label_pixels(image, windows, grow_regions(windows))
