@@ -13,7 +13,7 @@ from torchcal.model.sensor import Noise, Sensor
 
 CAMERA = Sensor(
     projection=Pinhole(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5),
-    noise=Noise(a=0.0005, c=0.0015),
+    noise=Noise(a=0.001, c=0.0015),
     near=0.3,
     far=10.0,
     beam=1,

@@ -77,7 +77,7 @@ def _on_plane(
     ends = rays / inverse[:, None]
     length = np.linalg.norm(strip.ends[1] - strip.ends[0])
     jacobian = np.zeros((6, 8))
-    for k, side in enumerate((0.5, -0.5)):
+    for k, side in enumerate((-0.5, 0.5)):
         _, du, dv = _ray(image, strip.ends[k])
         moved = du * strip.normal[0] + dv * strip.normal[1]
         project = np.eye(3) / inverse[k] - np.outer(rays[k], strip.m_near) / inverse[k] ** 2

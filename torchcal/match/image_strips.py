@@ -71,7 +71,7 @@ def fit_strip(
         return None
     values, covariance, chi2 = fitted
     shift, turn = values[6], values[7]
-    offset = shift + np.tan(turn) * np.array([0.5, -0.5]) * length
+    offset = shift + np.tan(turn) * np.array([-0.5, 0.5]) * length
     return Strip(
         ends=ends + offset[:, None] * normal,
         m_near=values[:3],
