@@ -145,20 +145,15 @@ def _found(
 ) -> Found:
     m = planar.m.numpy()[pair]
     covariance = planar.covariance.numpy()[pair] * planar.excess
-    across = np.cross(m[0], m[1])
-    length = np.linalg.norm(across)
-    direction = across / length
-    system = np.stack([m[0], m[1], direction])
-    inverse = np.linalg.inv(system)
-    point, first, last = (inverse @ np.array([1.0, 1.0, place]) for place in (sum(span) / 2, *span))
-    off_axis = (np.eye(3) - np.outer(direction, direction)) / length
-    jacobian = np.zeros((6, 6))
-    jacobian[:3, :3] = -np.outer(inverse[:, 0], point)
-    jacobian[:3, 3:] = -np.outer(inverse[:, 1], point)
-    jacobian[3:, :3] = -off_axis @ _cross(m[1])
-    jacobian[3:, 3:] = off_axis @ _cross(m[0])
+    direction = np.cross(m[0], m[1])
+    direction /= np.linalg.norm(direction)
+    inverse = np.linalg.inv(np.stack([m[0], m[1], direction]))
+    first, middle, last = (
+        inverse @ np.array([1.0, 1.0, place]) for place in (span[0], sum(span) / 2, span[1])
+    )
     both = np.zeros((6, 6))
     both[:3, :3], both[3:, 3:] = covariance
+    point, direction, full = crease_covariance(m, both, middle)
     angle, sigma = dihedral(m, covariance)
     ends = np.stack([first, last])
     return Found(
@@ -166,12 +161,30 @@ def _found(
         ends=ends,
         point=point,
         direction=direction,
-        covariance=jacobian @ both @ jacobian.T,
+        covariance=full,
         kind=kind,
         dihedral=angle,
         dihedral_sigma=sigma,
         planes=(int(pair[0]), int(pair[1])),
     )
+
+
+def crease_covariance(
+    m: Float[ndarray, "2 3"], covariance: Float[ndarray, "6 6"], place: Float[ndarray, "3"]
+) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"], Float[ndarray, "6 6"]]:
+    """Point (near a place), direction and their covariance of the line on which planes meet."""
+    across = np.cross(m[0], m[1])
+    length = np.linalg.norm(across)
+    direction = across / length
+    inverse = np.linalg.inv(np.stack([m[0], m[1], direction]))
+    point = inverse @ np.array([1.0, 1.0, place @ direction])
+    off_axis = (np.eye(3) - np.outer(direction, direction)) / length
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = -np.outer(inverse[:, 0], point)
+    jacobian[:3, 3:] = -np.outer(inverse[:, 1], point)
+    jacobian[3:, :3] = -off_axis @ _cross(m[1])
+    jacobian[3:, 3:] = off_axis @ _cross(m[0])
+    return point, direction, jacobian @ covariance @ jacobian.T
 
 
 def projected(image: Image, points: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 2"]:

@@ -10,7 +10,7 @@ from torchcal.match.features import LineKind
 from torchcal.match.image_creases import Found, dihedral
 from torchcal.match.image_edges import jump_segments
 from torchcal.match.image_labels import Planar
-from torchcal.match.image_strips import MARGIN, Strip, fit_strip
+from torchcal.match.image_strips import MARGIN, Strip, central_ray, fit_strip
 from torchcal.match.image_windows import Image
 
 SURE = 5.0
@@ -25,7 +25,7 @@ def jumps(image: Image, planar: Planar, shortest: float) -> list[Found]:
     """All straight jump edges of at least some pixels."""
     ends = jump_segments(image, shortest).ends
     half = max(image.sensor.beam, 1) / 2 + MARGIN
-    sides = _room(ends, half)
+    sides = room_beside(ends, half)
     found = []
     for segment, room in zip(ends, sides, strict=True):
         strip = fit_strip(image, segment, (float(room[0]), float(room[1])))
@@ -35,7 +35,7 @@ def jumps(image: Image, planar: Planar, shortest: float) -> list[Found]:
     return found
 
 
-def _room(ends: Float[ndarray, "segment 2 2"], most: float) -> Float[ndarray, "segment 2"]:
+def room_beside(ends: Float[ndarray, "segment 2 2"], most: float) -> Float[ndarray, "segment 2"]:
     """Pixels to the left and right of each segment up to half the way to the next one."""
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
@@ -58,7 +58,7 @@ def _room(ends: Float[ndarray, "segment 2 2"], most: float) -> Float[ndarray, "s
 def _line(image: Image, planar: Planar, strip: Strip) -> Found | None:
     """The line on the nearer plane; None where the range does not jump for sure."""
     middle = strip.ends.mean(0)
-    ray, du, dv = _ray(image, middle)
+    ray, du, dv = central_ray(image, middle)
     near, far = 1.0 / (strip.m_near @ ray), 1.0 / (strip.m_far @ ray)
     gradient = np.zeros(8)
     gradient[:3], gradient[3:6] = near**2 * ray, -(far**2) * ray
@@ -72,13 +72,13 @@ def _line(image: Image, planar: Planar, strip: Strip) -> Found | None:
 def _on_plane(
     image: Image, planar: Planar, strip: Strip, optics: tuple[ndarray, ndarray, ndarray]
 ) -> Found:
-    rays = np.stack([_ray(image, end)[0] for end in strip.ends])
+    rays = np.stack([central_ray(image, end)[0] for end in strip.ends])
     inverse = rays @ strip.m_near
     ends = rays / inverse[:, None]
     length = np.linalg.norm(strip.ends[1] - strip.ends[0])
     jacobian = np.zeros((6, 8))
     for k, side in enumerate((-0.5, 0.5)):
-        _, du, dv = _ray(image, strip.ends[k])
+        _, du, dv = central_ray(image, strip.ends[k])
         moved = du * strip.normal[0] + dv * strip.normal[1]
         project = np.eye(3) / inverse[k] - np.outer(rays[k], strip.m_near) / inverse[k] ** 2
         rows = slice(3 * k, 3 * k + 3)
@@ -106,11 +106,11 @@ def _from_ends(
         kind=LineKind.JUMP,
         dihedral=np.nan,
         dihedral_sigma=np.inf,
-        planes=_beside(image, planar, strip),
+        planes=planes_beside(image, planar, strip),
     )
 
 
-def _beside(image: Image, planar: Planar, strip: Strip) -> tuple[int, int]:
+def planes_beside(image: Image, planar: Planar, strip: Strip) -> tuple[int, int]:
     """The planes that most pixels show a little way off the line: of the nearer surface first."""
     away = max(image.sensor.beam, 1) / 2 + 2.0
     share = np.linspace(0.1, 0.9, 17)[:, None]
@@ -123,10 +123,3 @@ def _beside(image: Image, planar: Planar, strip: Strip) -> tuple[int, int]:
         values, counts = np.unique(shown, return_counts=True)
         names.append(int(values[np.argmax(counts)]))
     return names[0], names[1]
-
-
-def _ray(image: Image, pixel: Float[ndarray, "2"]) -> tuple[ndarray, ndarray, ndarray]:
-    u, v = image.range.new_tensor(pixel)
-    projection = image.sensor.projection
-    du, dv = projection.ray_derivatives(u, v)
-    return projection.rays(u, v).numpy(), du.numpy(), dv.numpy()

@@ -8,7 +8,8 @@ from scipy import ndimage
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines, LineKind
-from torchcal.match.image_creases import Found, creases
+from torchcal.match.image_bends import bends
+from torchcal.match.image_creases import Found
 from torchcal.match.image_jumps import jumps
 from torchcal.match.image_labels import Planar
 from torchcal.match.image_windows import Image
@@ -23,7 +24,7 @@ END = 3.0
 
 def image_lines(image: Image, planar: Planar) -> Lines:
     """Creases and jump edges; where both are found, what is nearer to what was measured."""
-    found = _once([*creases(image, planar, SHORTEST), *jumps(image, planar, SHORTEST)])
+    found = _once([*bends(image, planar, SHORTEST), *jumps(image, planar, SHORTEST)])
     return _lines(image, found)
 
 
