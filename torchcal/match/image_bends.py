@@ -6,10 +6,9 @@ from numpy import ndarray
 
 from torchcal.match.features import LineKind
 from torchcal.match.image_creases import Found, crease_covariance, dihedral, projected
-from torchcal.match.image_edges import bend_segments, jump_segments
-from torchcal.match.image_jumps import planes_beside, room_beside
+from torchcal.match.image_jumps import planes_beside
 from torchcal.match.image_labels import Planar
-from torchcal.match.image_strips import MARGIN, Strip, central_ray, fit_crease
+from torchcal.match.image_strips import Strip, central_ray, fit_crease
 from torchcal.match.image_windows import Image
 
 SMALLEST_ANGLE = np.radians(6.0)
@@ -21,13 +20,15 @@ MOVED = 0.4
 """Of the beam's side: how far a line may be from where the surface bends most."""
 
 
-def bends(image: Image, planar: Planar, shortest: float) -> list[Found]:
-    """All creases of at least some pixels."""
-    ends = bend_segments(image, shortest).ends
-    half = max(image.sensor.beam, 1) / 2 + MARGIN
-    room = room_beside(np.concatenate([ends, jump_segments(image, shortest).ends]), half)
+def creases(
+    image: Image,
+    planar: Planar,
+    segments: Float[ndarray, "segment 2 2"],
+    sides: Float[ndarray, "segment 2"],
+) -> list[Found]:
+    """The segments that are creases, fitted to the strips along them."""
     found = []
-    for segment, (left, right) in zip(ends, room[: len(ends)], strict=True):
+    for segment, (left, right) in zip(segments, sides, strict=True):
         strip = fit_crease(image, segment, (float(left), float(right)))
         line = strip and _crease(image, planar, strip, segment)
         if line:

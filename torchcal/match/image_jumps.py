@@ -8,56 +8,43 @@ from numpy import ndarray
 
 from torchcal.match.features import LineKind
 from torchcal.match.image_creases import Found, dihedral
-from torchcal.match.image_edges import jump_segments
 from torchcal.match.image_labels import Planar
-from torchcal.match.image_strips import MARGIN, Strip, central_ray, fit_strip
+from torchcal.match.image_strips import Strip, central_ray, fit_strip
 from torchcal.match.image_windows import Image
 
 SURE = 5.0
 """Standard deviations of a jump that is no accident."""
 SMALLEST = 0.3
 """Standard deviations of one pixel's noise: the smallest jump."""
-PARALLEL = np.cos(np.radians(35.0))
-"""Segments that are more parallel share the room between them."""
+UNSURE = np.radians(1.5)
+"""A line whose direction in the image is less sure than this standard deviation is none."""
 
 
-def jumps(image: Image, planar: Planar, shortest: float) -> list[Found]:
-    """All straight jump edges of at least some pixels."""
-    ends = jump_segments(image, shortest).ends
-    half = max(image.sensor.beam, 1) / 2 + MARGIN
-    sides = room_beside(ends, half)
+def jumps(
+    image: Image,
+    planar: Planar,
+    segments: Float[ndarray, "segment 2 2"],
+    sides: Float[ndarray, "segment 2"],
+) -> list[Found]:
+    """The segments along which the range jumps, fitted to the strips along them."""
     found = []
-    for segment, room in zip(ends, sides, strict=True):
-        strip = fit_strip(image, segment, (float(room[0]), float(room[1])))
-        line = strip and _line(image, planar, strip)
+    for segment, (left, right) in zip(segments, sides, strict=True):
+        strip = fit_strip(image, segment, (float(left), float(right)))
+        line = strip and _line(image, planar, strip, segment)
         if line:
             found.append(line)
     return found
 
 
-def room_beside(ends: Float[ndarray, "segment 2 2"], most: float) -> Float[ndarray, "segment 2"]:
-    """Pixels to the left and right of each segment up to half the way to the next one."""
-    along = ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(along, axis=1)
-    along = along / np.maximum(length, 1e-9)[:, None]
-    normal = np.stack([along[:, 1], -along[:, 0]], -1)
-    middle = ends.mean(1)
-    apart = ends[None, :] - middle[:, None, None]
-    place = np.einsum("ijek,ik->ije", apart, along)
-    across = np.einsum("ijek,ik->ije", apart, normal).mean(-1)
-    reach = np.minimum(place.max(-1), length[:, None] / 2) - np.maximum(
-        place.min(-1), -length[:, None] / 2
-    )
-    beside = (reach > 0.3 * length[:, None]) & (np.abs(along @ along.T) > PARALLEL)
-    np.fill_diagonal(beside, False)
-    left = np.where(beside & (across > 2.0), across / 2, most).min(1, initial=most)
-    right = np.where(beside & (across < -2.0), -across / 2, most).min(1, initial=most)
-    return np.stack([left, right], -1)
-
-
-def _line(image: Image, planar: Planar, strip: Strip) -> Found | None:
+def _line(
+    image: Image, planar: Planar, strip: Strip, segment: Float[ndarray, "2 2"]
+) -> Found | None:
     """The line on the nearer plane; None where the range does not jump for sure."""
     middle = strip.ends.mean(0)
+    beam = max(image.sensor.beam, 3)
+    turn = np.sqrt(strip.covariance[7, 7])
+    if turn > UNSURE or np.linalg.norm(strip.ends - segment, axis=1).max() > 0.6 * beam:
+        return None
     ray, du, dv = central_ray(image, middle)
     near, far = 1.0 / (strip.m_near @ ray), 1.0 / (strip.m_far @ ray)
     gradient = np.zeros(8)

@@ -16,7 +16,7 @@ SMOOTHING = 5
 """Side in pixels of the mean that is compared with the planes."""
 NEAR_PLANE = 4.0
 """Standard deviations of the mean that a pixel may be off the plane it shows."""
-SMALLEST = 30
+SMALLEST = 100
 """Pixels that must show a plane alone."""
 
 

@@ -1,5 +1,7 @@
 """The straight lines of a range image: creases and jump edges, each once."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -8,45 +10,130 @@ from scipy import ndimage
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines, LineKind
-from torchcal.match.image_bends import bends
+from torchcal.match.image_bends import creases
 from torchcal.match.image_creases import Found
+from torchcal.match.image_edges import bend_segments, jump_segments
 from torchcal.match.image_jumps import jumps
 from torchcal.match.image_labels import Planar
 from torchcal.match.image_windows import Image
 
 SHORTEST = 22.0
 """Pixels."""
-SAME_PLACE, SAME_WAY = 6.0, float(np.cos(np.radians(12.0)))
+MARGIN = 10.0
+"""Pixels beyond half the beam to which the strips along lines reach."""
+AROUND = 5.0
+"""Pixels more than half a beam beside a jump where the surface seems to bend."""
+PARALLEL = float(np.cos(np.radians(35.0)))
+"""Segments that are more parallel share the room between them."""
+LONGEST_GAP = 40.0
+"""Pixels between two parts of one line."""
+SAME_PLACE, SAME_WAY = 5.0, float(np.cos(np.radians(8.0)))
 """Pixels, and of the angle, within which two lines in the image are one."""
 END = 3.0
 """Pixels by which an end may be off."""
 
 
 def image_lines(image: Image, planar: Planar) -> Lines:
-    """Creases and jump edges; where both are found, what is nearer to what was measured."""
-    found = _once([*bends(image, planar, SHORTEST), *jumps(image, planar, SHORTEST)])
-    return _lines(image, found)
+    """Jump edges and creases."""
+    beam = max(image.sensor.beam, 1)
+    jumping = jump_segments(image, SHORTEST).ends
+    bending = _apart(bend_segments(image, SHORTEST).ends, jumping, beam / 2 + AROUND)
+    sides = _room(np.concatenate([jumping, bending]), beam)
+    found = [
+        *jumps(image, planar, jumping, sides[: len(jumping)]),
+        *creases(image, planar, bending, sides[len(jumping) :]),
+    ]
+    return _lines(image, _once(found))
+
+
+def _place(
+    of: Float[ndarray, "other 2 2"], on: Float[ndarray, "segment 2 2"]
+) -> tuple[ndarray, ndarray, ndarray]:
+    """How far along segments and to their left both ends of others are; the cosines between."""
+    along = on[:, 1] - on[:, 0]
+    along = along / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    own = of[:, 1] - of[:, 0]
+    own = own / np.maximum(np.linalg.norm(own, axis=1), 1e-9)[:, None]
+    normal = np.stack([along[:, 1], -along[:, 0]], -1)
+    apart = of[None] - on[:, None, :1]
+    return (
+        np.einsum("soek,sk->soe", apart, along),
+        np.einsum("soek,sk->soe", apart, normal),
+        np.abs(along @ own.T),
+    )
+
+
+def _beside(place: ndarray, cosine: ndarray, length: ndarray) -> Bool[ndarray, "segment other"]:
+    """Whether others run beside a segment for a part of its way."""
+    first, last = place.min(-1), place.max(-1)
+    shared = np.minimum(last, length[:, None]) - np.maximum(first, 0.0)
+    return (shared > 0.3 * length[:, None]) & (cosine > PARALLEL)
+
+
+def _apart(
+    ends: Float[ndarray, "segment 2 2"], others: Float[ndarray, "other 2 2"], distance: float
+) -> Float[ndarray, "kept 2 2"]:
+    """The segments that no other runs beside: where a range jumps the blur makes two bends."""
+    if len(ends) == 0 or len(others) == 0:
+        return ends
+    place, left, cosine = _place(others, ends)
+    beside = _beside(place, cosine, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+    return ends[~(beside & (np.abs(left.mean(-1)) < distance)).any(1)]
+
+
+def _room(ends: Float[ndarray, "segment 2 2"], beam: int) -> Float[ndarray, "segment 2"]:
+    """Pixels to the left and right of each segment that no other one beside it blurs."""
+    most = beam / 2 + MARGIN
+    if len(ends) == 0:
+        return np.zeros((0, 2))
+    place, left, cosine = _place(ends, ends)
+    beside = _beside(place, cosine, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+    left = left.mean(-1)
+    free = np.maximum(np.abs(left) / 2, np.abs(left) - beam / 2)
+    np.fill_diagonal(beside, False)
+    return np.stack(
+        [
+            np.where(beside & (sign * left > 2.0), free, most).min(1, initial=most)
+            for sign in (1.0, -1.0)
+        ],
+        -1,
+    )
 
 
 def _once(found: list[Found]) -> list[Found]:
-    """Longer lines first, none that runs along one that is there already."""
+    """Longer lines first; one that runs along a line or carries it on becomes a part of it."""
     kept: list[Found] = []
     for line in sorted(found, key=lambda each: -_length(each.pixels)):
-        if not any(_same(other.pixels, line.pixels) for other in kept):
+        for k, other in enumerate(kept):
+            if _same(other, line):
+                kept[k] = _extended(other, line)
+                break
+        else:
             kept.append(line)
     return kept
 
 
-def _same(longer: Float[ndarray, "2 2"], shorter: Float[ndarray, "2 2"]) -> bool:
-    along = (longer[1] - longer[0]) / _length(longer)
-    own = (shorter[1] - shorter[0]) / max(_length(shorter), 1e-9)
-    if abs(along @ own) < SAME_WAY:
+def _same(longer: Found, shorter: Found) -> bool:
+    place, left, cosine = _place(shorter.pixels[None], longer.pixels[None])
+    if cosine[0, 0] < SAME_WAY or np.abs(left).mean() > SAME_PLACE:
         return False
-    apart = shorter - longer[0]
-    place = apart @ along
-    across = apart @ np.array([-along[1], along[0]])
-    shared = min(place.max(), _length(longer)) - max(place.min(), 0.0)
-    return bool(np.abs(across).mean() < SAME_PLACE and shared > 0.3 * _length(shorter))
+    gap = max(place.min() - _length(longer.pixels), -place.max(), 0.0)
+    size = _length(shorter.pixels)
+    return bool(gap < np.clip(size / 2, 8.0, LONGEST_GAP))
+
+
+def _extended(longer: Found, shorter: Found) -> Found:
+    """The longer one with the ends of both."""
+    along = longer.direction
+    place = (np.concatenate([longer.ends, shorter.ends]) - longer.point) @ along
+    low, high = place.argmin(), place.argmax()
+    pixels = np.concatenate([longer.pixels, shorter.pixels])
+    order = [low, high] if place[1] > place[0] else [high, low]
+    return replace(
+        longer,
+        pixels=pixels[order],
+        ends=longer.point + np.outer(place[order], along),
+    )
 
 
 def _length(pixels: Float[ndarray, "2 2"]) -> float:

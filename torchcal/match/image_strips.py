@@ -8,8 +8,6 @@ from numpy import ndarray
 
 from torchcal.match.image_windows import Image
 
-MARGIN = 10.0
-"""Pixels beyond the half beam to which a strip reaches on both sides."""
 MOST = 2500
 """Pixels of a strip that are used."""
 STEEP = 3.0

@@ -24,6 +24,7 @@ class Image:
     sigma: Float[Tensor, "h w"]
     """The standard deviation (m) of one pixel's noise."""
     rays: Float[Tensor, "h w 3"]
+    """Of the middle of each pixel's beam, which is not the pixel's at the image's border."""
     sensor: Sensor
 
 
@@ -53,14 +54,21 @@ def prepared(range_image: Tensor, sensor: Sensor, mask: Tensor | None) -> Image:
     measured = range_image.isfinite() & (range_image >= sensor.near) & (range_image <= sensor.far)
     valid = measured if mask is None else measured & mask
     image = torch.where(valid, range_image, 1.0).to(torch.float64)
-    grid = pixel_grid(sensor.projection, dtype=image.dtype, device=image.device)
+    u, v = pixel_grid(sensor.projection, dtype=image.dtype, device=image.device)
+    half = max(sensor.beam, 1) / 2
+    h, w = image.shape
     return Image(
         range=image,
         valid=valid,
         sigma=sensor.noise.sigma(image),
-        rays=sensor.projection.rays(*grid),
+        rays=sensor.projection.rays(_middle(u, half, w), _middle(v, half, h)),
         sensor=sensor,
     )
+
+
+def _middle(place: Tensor, half: float, size: int) -> Tensor:
+    """The middle of a beam that the image's border cuts (2.1: the mean over the part inside)."""
+    return 0.5 * ((place - half).clamp(min=-0.5) + (place + half).clamp(max=size - 0.5))
 
 
 def fit_windows(image: Image, *, side: int, stride: int) -> Windows:
