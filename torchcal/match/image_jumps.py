@@ -16,7 +16,11 @@ SURE = 5.0
 """Standard deviations of a jump that is no accident."""
 SMALLEST = 0.3
 """Standard deviations of one pixel's noise: the smallest jump."""
-UNSURE = np.radians(1.5)
+FITS = 1.6
+"""The largest chi-square per degree of freedom of two planes with a straight border."""
+SHORTEST_PART = 30.0
+"""Pixels below which a segment is cut no further."""
+UNSURE = np.radians(1.3)
 """A line whose direction in the image is less sure than this standard deviation is none."""
 
 
@@ -29,11 +33,26 @@ def jumps(
     """The segments along which the range jumps, fitted to the strips along them."""
     found = []
     for segment, (left, right) in zip(segments, sides, strict=True):
-        strip = fit_strip(image, segment, (float(left), float(right)))
-        line = strip and _line(image, planar, strip, segment)
-        if line:
-            found.append(line)
+        for strip, part in _parts(image, segment, (float(left), float(right))):
+            line = _line(image, planar, strip, part)
+            if line:
+                found.append(line)
     return found
+
+
+def _parts(
+    image: Image, segment: Float[ndarray, "2 2"], sides: tuple[float, float]
+) -> list[tuple[Strip, Float[ndarray, "2 2"]]]:
+    """Strips with one plane on either side: halves, where the whole segment has more of them."""
+    strip = fit_strip(image, segment, sides)
+    length = np.linalg.norm(segment[1] - segment[0])
+    if strip is not None and (strip.chi2 < FITS or length < 2 * SHORTEST_PART):
+        return [(strip, segment)]
+    if length < 2 * SHORTEST_PART:
+        return []
+    middle = segment.mean(0)
+    halves = np.stack([segment[0], middle]), np.stack([middle, segment[1]])
+    return [part for half in halves for part in _parts(image, half, sides)]
 
 
 def _line(
@@ -43,7 +62,7 @@ def _line(
     middle = strip.ends.mean(0)
     beam = max(image.sensor.beam, 3)
     turn = np.sqrt(strip.covariance[7, 7])
-    if turn > UNSURE or np.linalg.norm(strip.ends - segment, axis=1).max() > 0.6 * beam:
+    if turn > UNSURE or np.linalg.norm(strip.ends - segment, axis=1).max() > 0.8 * beam:
         return None
     ray, du, dv = central_ray(image, middle)
     near, far = 1.0 / (strip.m_near @ ray), 1.0 / (strip.m_far @ ray)

@@ -11,13 +11,13 @@ from scipy import ndimage
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines, LineKind
 from torchcal.match.image_bends import creases
-from torchcal.match.image_creases import Found
+from torchcal.match.image_creases import Found, meeting_planes
 from torchcal.match.image_edges import bend_segments, jump_segments
 from torchcal.match.image_jumps import jumps
 from torchcal.match.image_labels import Planar
 from torchcal.match.image_windows import Image
 
-SHORTEST = 22.0
+SHORTEST, SHORTEST_CREASE = 34.0, 50.0
 """Pixels."""
 MARGIN = 10.0
 """Pixels beyond half the beam to which the strips along lines reach."""
@@ -37,7 +37,9 @@ def image_lines(image: Image, planar: Planar) -> Lines:
     """Jump edges and creases."""
     beam = max(image.sensor.beam, 1)
     jumping = jump_segments(image, SHORTEST).ends
-    bending = _apart(bend_segments(image, SHORTEST).ends, jumping, beam / 2 + AROUND)
+    meeting = meeting_planes(image, planar, SHORTEST_CREASE)
+    bending = np.concatenate([bend_segments(image, SHORTEST_CREASE).ends, meeting])
+    bending = _apart(bending, jumping, beam / 2 + AROUND)
     sides = _room(np.concatenate([jumping, bending]), beam)
     found = [
         *jumps(image, planar, jumping, sides[: len(jumping)]),
@@ -93,7 +95,7 @@ def _room(ends: Float[ndarray, "segment 2 2"], beam: int) -> Float[ndarray, "seg
     np.fill_diagonal(beside, False)
     return np.stack(
         [
-            np.where(beside & (sign * left > 2.0), free, most).min(1, initial=most)
+            np.where(beside & (sign * left > 8.0), free, most).min(1, initial=most)
             for sign in (1.0, -1.0)
         ],
         -1,
