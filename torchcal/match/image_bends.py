@@ -6,15 +6,13 @@ from numpy import ndarray
 
 from torchcal.match.features import LineKind
 from torchcal.match.image_creases import Found, crease_covariance, dihedral, projected
-from torchcal.match.image_jumps import planes_beside
-from torchcal.match.image_labels import Planar
 from torchcal.match.image_strips import Strip, central_ray, fit_crease
 from torchcal.match.image_windows import Image
 
 SMALLEST_ANGLE = np.radians(6.0)
 SURE = 6.0
 """Standard deviations of a dihedral angle that is no accident."""
-FITS = 1.35
+FITS = 1.2
 """The largest chi-square per degree of freedom of two planes that meet."""
 MOVED = 0.4
 """Of the beam's side: how far a line may be from where the surface bends most."""
@@ -22,7 +20,6 @@ MOVED = 0.4
 
 def creases(
     image: Image,
-    planar: Planar,
     segments: Float[ndarray, "segment 2 2"],
     sides: Float[ndarray, "segment 2"],
 ) -> list[Found]:
@@ -30,14 +27,14 @@ def creases(
     found = []
     for segment, (left, right) in zip(segments, sides, strict=True):
         strip = fit_crease(image, segment, (float(left), float(right)))
-        line = strip and _crease(image, planar, strip, segment)
+        line = strip and _crease(image, strip, segment)
         if line:
             found.append(line)
     return found
 
 
 def _crease(
-    image: Image, planar: Planar, strip: Strip, segment: Float[ndarray, "2 2"]
+    image: Image, strip: Strip, segment: Float[ndarray, "2 2"]
 ) -> Found | None:
     m = np.stack([strip.m_near, strip.m_far])
     blocks = strip.covariance[:6, :6].reshape(2, 3, 2, 3)
@@ -64,5 +61,5 @@ def _crease(
         kind=LineKind.CONVEX if convex else LineKind.CONCAVE,
         dihedral=angle,
         dihedral_sigma=sigma,
-        planes=planes_beside(image, planar, strip),
+        planes=(-1, -1),
     )

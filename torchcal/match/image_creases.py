@@ -39,15 +39,8 @@ class Found:
     planes: tuple[int, int]
 
 
-def meeting_planes(
-    image: Image, planar: Planar, shortest: float
-) -> Float[ndarray, "segment 2 2"]:
-    """Segments of at least some pixels in the image along which two planes touch and meet."""
-    found = _found_creases(image, planar, shortest)
-    return np.array([each.pixels for each in found]).reshape(-1, 2, 2)
-
-
-def _found_creases(image: Image, planar: Planar, shortest: float) -> list[Found]:
+def found_creases(image: Image, planar: Planar, shortest: float) -> list[Found]:
+    """Where planes that touch in the image meet, for at least some pixels."""
     rows, columns, pairs = _border(planar.label)
     if len(pairs) == 0:
         return []

@@ -1,13 +1,17 @@
 """From a range image to its elements (3.1 (2))."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.match.features import Features
+from torchcal.match.image_creases import Found
 from torchcal.match.image_growth import grow_regions
+from torchcal.match.image_jumps import blurred_by
 from torchcal.match.image_labels import Planar, label_pixels
-from torchcal.match.image_lines import image_lines
+from torchcal.match.image_lines import image_jumps, image_lines
 from torchcal.match.image_planes import image_planes
 from torchcal.match.image_vertices import image_vertices
 from torchcal.match.image_windows import Image, fit_windows, prepared
@@ -31,8 +35,8 @@ def image_features(
     Returns:
         The elements with the covariances that the noise gives them (eq. 8).
     """
-    image, planar = _planar(range_image, sensor, mask)
-    lines = image_lines(image, planar)
+    image, planar, jumping = _planar(range_image, sensor, mask)
+    lines = image_lines(image, planar, jumping)
     return Features(
         planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines)
     )
@@ -47,8 +51,13 @@ def image_labels(
 
 def _planar(
     range_image: Tensor, sensor: Sensor, mask: Tensor | None
-) -> tuple[Image, Planar]:
+) -> tuple[Image, Planar, list[Found]]:
+    """Jumps first: planes are fitted to what they do not blur."""
     image = prepared(range_image, sensor, mask)
+    jumping = image_jumps(image)
+    blurred = torch.from_numpy(blurred_by(image, jumping)) & (sensor.beam > 1)
+    clear = replace(image, valid=image.valid & ~blurred)
     side = 3 * STRIDE if sensor.beam > 2 * STRIDE else 2 * STRIDE
-    windows = fit_windows(image, side=side, stride=STRIDE)
-    return image, label_pixels(image, windows, grow_regions(windows))
+    windows = fit_windows(clear, side=side, stride=STRIDE)
+    regions = grow_regions(windows)
+    return image, label_pixels(image, clear.valid.numpy(), windows, regions), jumping

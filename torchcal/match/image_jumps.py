@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from torchcal.match.features import LineKind
-from torchcal.match.image_creases import Found, dihedral
-from torchcal.match.image_labels import Planar
+from torchcal.match.image_creases import Found
 from torchcal.match.image_strips import Strip, central_ray, fit_strip
 from torchcal.match.image_windows import Image
 
@@ -16,6 +15,8 @@ SURE = 5.0
 """Standard deviations of a jump that is no accident."""
 SMALLEST = 0.3
 """Standard deviations of one pixel's noise: the smallest jump."""
+BEYOND = 1.0
+"""Pixels by which a jump may be off."""
 FITS = 1.6
 """The largest chi-square per degree of freedom of two planes with a straight border."""
 SHORTEST_PART = 30.0
@@ -26,7 +27,6 @@ UNSURE = np.radians(1.3)
 
 def jumps(
     image: Image,
-    planar: Planar,
     segments: Float[ndarray, "segment 2 2"],
     sides: Float[ndarray, "segment 2"],
 ) -> list[Found]:
@@ -34,7 +34,7 @@ def jumps(
     found = []
     for segment, (left, right) in zip(segments, sides, strict=True):
         for strip, part in _parts(image, segment, (float(left), float(right))):
-            line = _line(image, planar, strip, part)
+            line = _line(image, strip, part)
             if line:
                 found.append(line)
     return found
@@ -56,7 +56,7 @@ def _parts(
 
 
 def _line(
-    image: Image, planar: Planar, strip: Strip, segment: Float[ndarray, "2 2"]
+    image: Image, strip: Strip, segment: Float[ndarray, "2 2"]
 ) -> Found | None:
     """The line on the nearer plane; None where the range does not jump for sure."""
     middle = strip.ends.mean(0)
@@ -72,11 +72,11 @@ def _line(
     noise = float(image.sensor.noise.sigma(image.range.new_tensor(near)))
     if not 0 < near < image.sensor.far or far - near < max(SURE * sigma, SMALLEST * noise):
         return None
-    return _on_plane(image, planar, strip, (ray, du, dv))
+    return _on_plane(image, strip, (ray, du, dv))
 
 
 def _on_plane(
-    image: Image, planar: Planar, strip: Strip, optics: tuple[ndarray, ndarray, ndarray]
+    image: Image, strip: Strip, optics: tuple[ndarray, ndarray, ndarray]
 ) -> Found:
     rays = np.stack([central_ray(image, end)[0] for end in strip.ends])
     inverse = rays @ strip.m_near
@@ -91,11 +91,11 @@ def _on_plane(
         jacobian[rows, :3] = -np.outer(rays[k], rays[k]) / inverse[k] ** 2
         jacobian[rows, 6] = project @ moved
         jacobian[rows, 7] = project @ moved * side * length
-    return _from_ends(image, planar, strip, ends, jacobian @ strip.covariance @ jacobian.T)
+    return _from_ends(image, strip, ends, jacobian @ strip.covariance @ jacobian.T)
 
 
 def _from_ends(
-    image: Image, planar: Planar, strip: Strip, ends: Float[ndarray, "2 3"], both: ndarray
+    image: Image, strip: Strip, ends: Float[ndarray, "2 3"], both: ndarray
 ) -> Found:
     """Point and direction with their covariance from that of both ends."""
     along = ends[1] - ends[0]
@@ -112,20 +112,24 @@ def _from_ends(
         kind=LineKind.JUMP,
         dihedral=np.nan,
         dihedral_sigma=np.inf,
-        planes=planes_beside(image, planar, strip),
+        planes=(-1, -1),
     )
 
 
-def planes_beside(image: Image, planar: Planar, strip: Strip) -> tuple[int, int]:
-    """The planes that most pixels show a little way off the line: of the nearer surface first."""
-    away = max(image.sensor.beam, 1) / 2 + 2.0
-    share = np.linspace(0.1, 0.9, 17)[:, None]
-    places = strip.ends[0] + share * (strip.ends[1] - strip.ends[0])
-    h, w = planar.label.shape
-    names = []
-    for side in (1.0, -1.0):
-        u, v = np.round(places + side * away * strip.normal).astype(int).T
-        shown = planar.label[np.clip(v, 0, h - 1), np.clip(u, 0, w - 1)]
-        values, counts = np.unique(shown, return_counts=True)
-        names.append(int(values[np.argmax(counts)]))
-    return names[0], names[1]
+def blurred_by(image: Image, found: list[Found]) -> Bool[ndarray, "h w"]:
+    """Pixels whose beams meet both sides of a jump."""
+    half = max(image.sensor.beam, 1) / 2 + BEYOND
+    blurred = np.zeros(image.range.shape, bool)
+    for line in found:
+        ends = line.pixels
+        low = np.maximum(np.floor(ends.min(0) - half), 0).astype(int)
+        high = np.maximum(np.ceil(ends.max(0) + half), 0).astype(int) + 1
+        box = blurred[low[1] : high[1], low[0] : high[0]]
+        v, u = np.indices(box.shape)
+        apart = np.stack([u, v], -1) + (low - ends[0])
+        length = np.linalg.norm(ends[1] - ends[0])
+        along = (ends[1] - ends[0]) / length
+        place, across = apart @ along, apart @ np.array([-along[1], along[0]])
+        square = half * np.abs(along).sum()
+        box |= (np.abs(across) < square) & (place > -half) & (place < length + half)
+    return blurred

@@ -37,16 +37,18 @@ class Planar:
     """Variance of the planes' windows in units of what the noise explains."""
 
 
-def label_pixels(image: Image, windows: Windows, regions: Regions) -> Planar:
+def label_pixels(
+    image: Image, clear: Bool[ndarray, "h w"], windows: Windows, regions: Regions
+) -> Planar:
     """Extends regions from windows to pixels and fits their planes to what is not blurred."""
     half = max(image.sensor.beam, 1) // 2
     reach = half + windows.side // 2 + windows.stride
     label = _nearest(image, windows, regions, reach)
-    pure = _pure(label, image.valid.numpy(), half)
+    pure = _pure(label, clear, half)
     size = np.bincount(label[pure], minlength=len(regions.m))
     regions = regions.only(size >= SMALLEST)
     label = _nearest(image, windows, regions, reach)
-    pure = _pure(label, image.valid.numpy(), half)
+    pure = _pure(label, clear, half)
     m, covariance, chi2 = refit(image, torch.from_numpy(np.where(pure, label, -1)), regions.m)
     return Planar(
         label=label, pure=pure, m=m, covariance=covariance, chi2=chi2, excess=regions.excess

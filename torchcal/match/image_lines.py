@@ -10,9 +10,8 @@ from scipy import ndimage
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines, LineKind
-from torchcal.match.image_bends import creases
-from torchcal.match.image_creases import Found, meeting_planes
-from torchcal.match.image_edges import bend_segments, jump_segments
+from torchcal.match.image_creases import Found, found_creases
+from torchcal.match.image_edges import jump_segments
 from torchcal.match.image_jumps import jumps
 from torchcal.match.image_labels import Planar
 from torchcal.match.image_windows import Image
@@ -33,19 +32,36 @@ END = 3.0
 """Pixels by which an end may be off."""
 
 
-def image_lines(image: Image, planar: Planar) -> Lines:
-    """Jump edges and creases."""
+def image_jumps(image: Image) -> list[Found]:
+    """Jump edges, each once; the planes beside them are not known yet."""
+    segments = jump_segments(image, SHORTEST).ends
+    return _once(jumps(image, segments, _room(segments, max(image.sensor.beam, 1))))
+
+
+def image_lines(image: Image, planar: Planar, jumping: list[Found]) -> Lines:
+    """Jump edges and the creases between planes."""
     beam = max(image.sensor.beam, 1)
-    jumping = jump_segments(image, SHORTEST).ends
-    meeting = meeting_planes(image, planar, SHORTEST_CREASE)
-    bending = np.concatenate([bend_segments(image, SHORTEST_CREASE).ends, meeting])
-    bending = _apart(bending, jumping, beam / 2 + AROUND)
-    sides = _room(np.concatenate([jumping, bending]), beam)
-    found = [
-        *jumps(image, planar, jumping, sides[: len(jumping)]),
-        *creases(image, planar, bending, sides[len(jumping) :]),
-    ]
-    return _lines(image, _once(found))
+    meeting = found_creases(image, planar, SHORTEST_CREASE)
+    found = _once([*jumping, *meeting])
+    return _lines(image, [_with_planes(each, planar, beam) for each in found])
+
+
+def _with_planes(line: Found, planar: Planar, beam: int) -> Found:
+    """The planes that most pixels show a little way off the line: of the nearer surface first."""
+    if max(line.planes) >= 0:
+        return line
+    ends = line.pixels
+    along = (ends[1] - ends[0]) / _length(ends)
+    normal = np.array([along[1], -along[0]])
+    places = ends[0] + np.linspace(0.1, 0.9, 17)[:, None] * (ends[1] - ends[0])
+    h, w = planar.label.shape
+    names = []
+    for side in (1.0, -1.0):
+        u, v = np.round(places + side * (beam / 2 + 2.0) * normal).astype(int).T
+        shown = planar.label[np.clip(v, 0, h - 1), np.clip(u, 0, w - 1)]
+        values, counts = np.unique(shown, return_counts=True)
+        names.append(int(values[np.argmax(counts)]))
+    return replace(line, planes=(names[0], names[1]))
 
 
 def _place(

@@ -45,7 +45,7 @@ class Windows:
     """Of a window, in pixels."""
 
 
-FILLED = 0.7
+FILLED = 0.5
 """The least share of a window's pixels that must be measured."""
 
 
