@@ -11,8 +11,6 @@ from torchcal.match.image_windows import Image
 
 SCALE = 0.22
 """Standard deviation of the smoothing, in sides of the beam; at least one pixel and a quarter."""
-BEND_SCALE = 0.3
-"""The same for the second derivative; at least two pixels."""
 WIDER = 2.0
 """How much wider the smoothing is whose gradient is that of the surfaces, not of the edge."""
 SEED, GO_ON = 6.0, 4.0
@@ -60,41 +58,6 @@ def jump_segments(image: Image, shortest: float) -> Segments:
     pixel = np.stack([u, v], -1) + _peak(gradient, v, u, direction)[:, None] * direction
     found = _straight(pixel, direction, size, shortest)
     return Segments(ends=np.array(found).reshape(-1, 2, 2))
-
-
-def bend_segments(image: Image, shortest: float) -> Segments:
-    """Ridges of the second derivative of the inverse range: surfaces bend there."""
-    scale = max(2.0, BEND_SCALE * image.sensor.beam)
-    size, along_u, along_v = _bend(image, scale)
-    v, u = np.nonzero(size > GO_ON)
-    direction = np.stack([along_u[v, u], along_v[v, u]], -1)
-    beside = [
-        ndimage.map_coordinates(
-            size, [v + side * direction[:, 1], u + side * direction[:, 0]], order=1, mode="nearest"
-        )
-        for side in (1.0, -1.0)
-    ]
-    top = (size[v, u] >= beside[0]) & (size[v, u] > beside[1])
-    pixel, direction = np.stack([u, v], -1)[top].astype(float), direction[top]
-    found = _straight(pixel, direction, size[v, u][top], shortest)
-    return Segments(ends=np.array(found).reshape(-1, 2, 2))
-
-
-def _bend(image: Image, scale: float) -> tuple[ndarray, ndarray, ndarray]:
-    """The larger second derivative of the inverse range in standard deviations, its direction."""
-    valid = image.valid.numpy()
-    share = ndimage.gaussian_filter(valid.astype(float), scale, mode="nearest")
-    inverse = np.where(valid, 1.0 / image.range.numpy(), 0.0)
-    mean = ndimage.gaussian_filter(inverse, scale, mode="nearest") / np.maximum(share, 1e-9)
-    dv, du = np.gradient(mean)
-    duv, duu = np.gradient(du)
-    dvv, _ = np.gradient(dv)
-    angle = 0.5 * np.arctan2(2 * duv, duu - dvv)
-    middle, half = 0.5 * (duu + dvv), np.hypot(0.5 * (duu - dvv), duv)
-    angle = np.where(middle < 0, angle + np.pi / 2, angle)
-    white = image.sigma.numpy() * mean**2 * np.sqrt(3 / (16 * np.pi)) / scale**3
-    size = (np.abs(middle) + half) / np.maximum(white, 1e-12) * (share > 0.9)
-    return size, np.cos(angle), np.sin(angle)
 
 
 def _gradient(image: Image) -> _Gradient:

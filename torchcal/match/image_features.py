@@ -37,9 +37,7 @@ def image_features(
     """
     image, planar, jumping = _planar(range_image, sensor, mask)
     lines = image_lines(image, planar, jumping)
-    return Features(
-        planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines)
-    )
+    return Features(planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines))
 
 
 def image_labels(

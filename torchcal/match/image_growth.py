@@ -74,7 +74,30 @@ def grow_regions(windows: Windows) -> Regions:
         if members.sum() >= SMALLEST:
             label[members] = len(planes)
             planes.append(m)
-    return Regions(label=label, m=np.array(planes).reshape(-1, 3), excess=excess)
+    return _merged(forms, Regions(label=label, m=np.array(planes).reshape(-1, 3), excess=excess))
+
+
+def _merged(forms: _Forms, regions: Regions) -> Regions:
+    """Joins regions side by side whose windows on the whole agree with one plane, largest first."""
+    label, m = regions.label.copy(), regions.m.copy()
+    size = np.bincount(label[label >= 0], minlength=len(m))
+    for one in np.argsort(-size):
+        for other in _neighbours(label, one):
+            both = (label == one) | (label == other)
+            plane = forms.fit(both)
+            distance = forms.distance(plane)
+            if max(np.median(distance[label == k]) for k in (one, other)) < forms.agree:
+                label[label == other] = one
+                m[one] = plane
+    merged = Regions(label=label, m=m, excess=regions.excess)
+    return merged.only(np.isin(np.arange(len(m)), label))
+
+
+def _neighbours(label: Int[ndarray, "row column"], one: int) -> Int[ndarray, " region"]:
+    """The regions within a few windows of one, the largest first."""
+    around = ndimage.binary_dilation(label == one, iterations=3)
+    names, counts = np.unique(label[around & (label != one) & (label >= 0)], return_counts=True)
+    return names[np.argsort(-counts)]
 
 
 def _flat(windows: Windows) -> Bool[ndarray, "row column"]:

@@ -55,9 +55,7 @@ def _parts(
     return [part for half in halves for part in _parts(image, half, sides)]
 
 
-def _line(
-    image: Image, strip: Strip, segment: Float[ndarray, "2 2"]
-) -> Found | None:
+def _line(image: Image, strip: Strip, segment: Float[ndarray, "2 2"]) -> Found | None:
     """The line on the nearer plane; None where the range does not jump for sure."""
     middle = strip.ends.mean(0)
     beam = max(image.sensor.beam, 3)
@@ -75,9 +73,7 @@ def _line(
     return _on_plane(image, strip, (ray, du, dv))
 
 
-def _on_plane(
-    image: Image, strip: Strip, optics: tuple[ndarray, ndarray, ndarray]
-) -> Found:
+def _on_plane(image: Image, strip: Strip, optics: tuple[ndarray, ndarray, ndarray]) -> Found:
     rays = np.stack([central_ray(image, end)[0] for end in strip.ends])
     inverse = rays @ strip.m_near
     ends = rays / inverse[:, None]
@@ -94,9 +90,7 @@ def _on_plane(
     return _from_ends(image, strip, ends, jacobian @ strip.covariance @ jacobian.T)
 
 
-def _from_ends(
-    image: Image, strip: Strip, ends: Float[ndarray, "2 3"], both: ndarray
-) -> Found:
+def _from_ends(image: Image, strip: Strip, ends: Float[ndarray, "2 3"], both: ndarray) -> Found:
     """Point and direction with their covariance from that of both ends."""
     along = ends[1] - ends[0]
     length = np.linalg.norm(along)

@@ -13,7 +13,7 @@ from torchcal.match.image_growth import Regions
 from torchcal.match.image_windows import Image, Windows
 
 SMOOTHING = 5
-"""Side in pixels of the mean that is compared with the planes."""
+"""Side in pixels of the mean that is compared with the planes, at the least."""
 NEAR_PLANE = 4.0
 """Standard deviations of the mean that a pixel may be off the plane it shows."""
 SMALLEST = 100
@@ -58,10 +58,11 @@ def label_pixels(
 def _nearest(image: Image, windows: Windows, regions: Regions, reach: int) -> ndarray:
     """The plane nearest to the smoothed image, among those whose cores are within reach."""
     valid = image.valid.numpy()
-    share = ndimage.uniform_filter(valid.astype(float), SMOOTHING)
+    side = max(SMOOTHING, image.sensor.beam // 4 * 2 + 1)
+    share = ndimage.uniform_filter(valid.astype(float), side)
     ranges = np.where(valid, image.range.numpy(), 0.0)
-    smooth = ndimage.uniform_filter(ranges, SMOOTHING) / np.maximum(share, 1e-9)
-    limit = NEAR_PLANE * np.sqrt(regions.excess) / SMOOTHING * image.sigma.numpy()
+    smooth = ndimage.uniform_filter(ranges, side) / np.maximum(share, 1e-9)
+    limit = NEAR_PLANE * np.sqrt(regions.excess) / side * image.sigma.numpy()
     rays = image.rays.numpy()
     best = np.full(valid.shape, np.inf)
     label = np.full(valid.shape, -1)

@@ -16,12 +16,10 @@ from torchcal.match.image_jumps import jumps
 from torchcal.match.image_labels import Planar
 from torchcal.match.image_windows import Image
 
-SHORTEST, SHORTEST_CREASE = 34.0, 50.0
+SHORTEST = 34.0
 """Pixels."""
 MARGIN = 10.0
 """Pixels beyond half the beam to which the strips along lines reach."""
-AROUND = 5.0
-"""Pixels more than half a beam beside a jump where the surface seems to bend."""
 PARALLEL = float(np.cos(np.radians(35.0)))
 """Segments that are more parallel share the room between them."""
 LONGEST_GAP = 40.0
@@ -41,7 +39,7 @@ def image_jumps(image: Image) -> list[Found]:
 def image_lines(image: Image, planar: Planar, jumping: list[Found]) -> Lines:
     """Jump edges and the creases between planes."""
     beam = max(image.sensor.beam, 1)
-    meeting = found_creases(image, planar, SHORTEST_CREASE)
+    meeting = found_creases(image, planar, SHORTEST)
     found = _once([*jumping, *meeting])
     return _lines(image, [_with_planes(each, planar, beam) for each in found])
 
@@ -86,17 +84,6 @@ def _beside(place: ndarray, cosine: ndarray, length: ndarray) -> Bool[ndarray, "
     first, last = place.min(-1), place.max(-1)
     shared = np.minimum(last, length[:, None]) - np.maximum(first, 0.0)
     return (shared > 0.3 * length[:, None]) & (cosine > PARALLEL)
-
-
-def _apart(
-    ends: Float[ndarray, "segment 2 2"], others: Float[ndarray, "other 2 2"], distance: float
-) -> Float[ndarray, "kept 2 2"]:
-    """The segments that no other runs beside: where a range jumps the blur makes two bends."""
-    if len(ends) == 0 or len(others) == 0:
-        return ends
-    place, left, cosine = _place(others, ends)
-    beside = _beside(place, cosine, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
-    return ends[~(beside & (np.abs(left.mean(-1)) < distance)).any(1)]
 
 
 def _room(ends: Float[ndarray, "segment 2 2"], beam: int) -> Float[ndarray, "segment 2"]:

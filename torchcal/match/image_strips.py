@@ -80,63 +80,6 @@ def fit_strip(
     )
 
 
-def fit_crease(
-    image: Image, ends: Float[ndarray, "2 2"], sides: tuple[float, float]
-) -> Strip | None:
-    """The same for planes that meet: the line is where they do.
-
-    The covariance holds 0 for the line's own two values.
-    """
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    along = (ends[1] - ends[0]) / length
-    normal = np.array([along[1], -along[0]])
-    beam = max(image.sensor.beam, 1)
-    pixels = _pixels(image, ends.mean(0), along, length, sides)
-    start = None if pixels is None else _start(pixels, normal, beam)
-    if pixels is None or start is None:
-        return None
-    ray, du, dv = central_ray(image, ends.mean(0))
-    frame = (ray, du, dv)
-    values = start
-    prior = np.zeros((6, 6))
-    prior[:3, :3] = prior[3:, 3:] = _prior(ray, float(np.median(pixels.range)))
-    for _ in range(ROUNDS):
-        values[6:] = _meeting(values, frame, normal, beam, length)
-        model, jacobian = _model(pixels, values, normal, beam)
-        residual = (pixels.range - model) / pixels.sigma
-        jacobian = jacobian[:, :6] / pixels.sigma[:, None]
-        information = jacobian.T @ jacobian + prior
-        values[:6] += np.linalg.lstsq(information, jacobian.T @ residual, rcond=1e-14)[0]
-    if not np.isfinite(values).all():
-        return None
-    values[6:] = _meeting(values, frame, normal, beam, length)
-    chi2 = float((residual**2).sum()) / max(len(residual) - 6, 1)
-    covariance = np.zeros((8, 8))
-    covariance[:6, :6] = np.linalg.pinv(information, rcond=1e-14, hermitian=True) * max(1.0, chi2)
-    offset = values[6] + np.tan(values[7]) * np.array([-0.5, 0.5]) * length
-    return Strip(
-        ends=ends + offset[:, None] * normal,
-        m_near=values[:3],
-        m_far=values[3:6],
-        covariance=covariance,
-        chi2=chi2,
-        normal=normal,
-    )
-
-
-def _meeting(
-    values: ndarray, frame: tuple[ndarray, ndarray, ndarray], normal: ndarray, beam: int, length: float
-) -> Float[ndarray, "2"]:
-    """Shift and turn of the line on which two planes meet in the image, within what is seen."""
-    ray, du, dv = frame
-    apart = values[:3] - values[3:6]
-    slope = np.array([du @ apart, dv @ apart])
-    across, along = slope @ normal, slope @ np.array([-normal[1], normal[0]])
-    across = np.copysign(max(abs(across), 1e-12), across)
-    most = np.array([beam / 2 + 2.0, np.arctan(beam / length)])
-    return np.clip([-(ray @ apart) / across, np.arctan(-along / across)], -most, most)
-
-
 def central_ray(image: Image, pixel: Float[ndarray, "2"]) -> tuple[ndarray, ndarray, ndarray]:
     """The ray of a pixel and its derivatives to u and v."""
     u, v = image.range.new_tensor(pixel)
