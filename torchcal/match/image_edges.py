@@ -140,7 +140,7 @@ def _straight(
     """Straight runs of pixels, grown from the largest gradients first."""
     free = np.ones(len(pixel), bool)
     found = []
-    for seed in np.argsort(-size):
+    for seed in np.argsort(-size).tolist():
         if size[seed] < SEED:
             break
         if not free[seed]:

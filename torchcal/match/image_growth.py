@@ -9,7 +9,7 @@ from scipy import ndimage, stats
 
 from torchcal.match.image_windows import Windows
 
-AGREE = 2.0 * float(stats.chi2.ppf(0.999, 3))
+AGREE = 3.5 * float(stats.chi2.ppf(0.999, 3))
 """A window whose m differs from a plane's by less, as chi-square, may be a part of it."""
 FLAT = 4.0
 """Standard deviations by which the residuals of a window may exceed their expectation."""
@@ -81,7 +81,7 @@ def _merged(forms: _Forms, regions: Regions) -> Regions:
     """Joins regions side by side whose windows on the whole agree with one plane, largest first."""
     label, m = regions.label.copy(), regions.m.copy()
     size = np.bincount(label[label >= 0], minlength=len(m))
-    for one in np.argsort(-size):
+    for one in np.argsort(-size).tolist():
         for other in _neighbours(label, one):
             both = (label == one) | (label == other)
             plane = forms.fit(both)
@@ -129,7 +129,8 @@ def _excess(windows: Windows, flat: ndarray) -> float:
     step = windows.side // windows.stride
     m, information = windows.m.numpy(), windows.information.numpy()
     apart = m[:, step:] - m[:, :-step]
-    joint = 0.5 * information[:, step:]
+    covariance = np.linalg.inv(information)
+    joint = np.linalg.inv(covariance[:, step:] + covariance[:, :-step])
     chi2 = np.einsum("...i,...ij,...j->...", apart, joint, apart)
     runs = ndimage.minimum_filter1d(flat, 2 * step + 1, axis=1)[:, step // 2 : -step + step // 2]
     chi2 = chi2[runs[:, : chi2.shape[1]]]

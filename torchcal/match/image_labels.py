@@ -14,7 +14,7 @@ from torchcal.match.image_windows import Image, Windows
 
 SMOOTHING = 5
 """Side in pixels of the mean that is compared with the planes, at the least."""
-NEAR_PLANE = 4.0
+NEAR_PLANE = 6.0
 """Standard deviations of the mean that a pixel may be off the plane it shows."""
 SMALLEST = 100
 """Pixels that must show a plane alone."""
@@ -72,7 +72,7 @@ def _nearest(image: Image, windows: Windows, regions: Regions, reach: int) -> nd
         with np.errstate(divide="ignore"):
             off = np.abs(smooth[box] * (rays[box] @ regions.m[index]) - 1.0) * smooth[box]
         seen = ndimage.binary_dilation(off < limit[box], iterations=max(image.sensor.beam // 2, 1))
-        close = ndimage.maximum_filter(core, 2 * reach - windows.side + 1) & seen & valid[box]
+        close = ndimage.maximum_filter(core, 2 * reach + 1) & seen & valid[box]
         nearer = close & (off < best[box])
         best[box][nearer] = off[nearer]
         label[box][nearer] = index
@@ -151,4 +151,4 @@ def _sums(plane: Tensor, jacobian: Tensor, residual: Tensor, count: int) -> tupl
             total = torch.bincount(plane, jacobian[:, i] * jacobian[:, j], minlength=count)
             information[:, i, j] = information[:, j, i] = total
     moment = [torch.bincount(plane, jacobian[:, i] * residual, minlength=count) for i in range(3)]
-    return information, torch.stack(moment, -1)
+    return information, torch.stack(moment, -1).to(information)

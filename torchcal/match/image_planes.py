@@ -30,17 +30,17 @@ def image_planes(image: Image, planar: Planar) -> Planes:
     points = rays / inverse[:, None]
     size = torch.bincount(plane, minlength=count).clamp(min=1)
     middle = torch.stack(
-        [torch.bincount(plane, points[:, k], minlength=count) / size for k in range(3)], -1
+        [torch.bincount(plane, points[:, k], minlength=count).to(m) / size for k in range(3)], -1
     )
-    patch = _patch(image, rows, columns) / (inverse**3 * m.norm(dim=-1)[plane])
-    area = torch.bincount(plane, patch.abs(), minlength=count)
+    patch = _patch(image, rows, columns) / inverse**3 * m.norm(dim=-1)[plane]
+    area = torch.bincount(plane, patch.abs(), minlength=count).to(m)
     perimeter = torch.bincount(
         plane, torch.from_numpy(_edge(planar.label)[rows, columns]) * 1.0, minlength=count
     )
     return Planes(
         elements=_elements(m, planar.covariance * planar.excess, middle),
         area=area,
-        area_sigma=area * BORDER * perimeter / size,
+        area_sigma=area * BORDER * perimeter.to(m) / size,
         outline=_outlines(points, name, count),
     )
 
