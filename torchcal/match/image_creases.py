@@ -1,5 +1,6 @@
 """Creases of a range image: where two planes that touch in it meet."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from torchcal.match.image_windows import Image
 
 NEAR = 5.0
 """Pixels between the border of two planes in the image and the crease of both."""
+STRAIGHT = 2.5
+"""Pixels (rms) by which a border may be off a straight line."""
 GAP = 12.0
 """Pixels of a border that may be missing within one crease."""
 SMALLEST_ANGLE = np.radians(4.0)
@@ -41,18 +44,50 @@ class Found:
 
 def found_creases(image: Image, planar: Planar, shortest: float) -> list[Found]:
     """Where planes that touch in the image meet, for at least some pixels."""
-    rows, columns, pairs = _border(planar.label)
+    return [
+        line
+        for pair, rows, columns in _borders(planar.label, shortest)
+        for line in _of_pair(image, planar, pair, rows, columns, shortest)
+    ]
+
+
+def straight_borders(
+    image: Image, planar: Planar, shortest: float
+) -> Float[ndarray, "segment 2 2"]:
+    """Straight borders in the image of planes at least some pixels long, the nearer to the left."""
+    found = []
+    m = planar.m.numpy()
+    for pair, rows, columns in _borders(planar.label, shortest):
+        pixel = np.stack([columns, rows], -1).astype(float)
+        middle = pixel.mean(0)
+        spread, axes = np.linalg.eigh((pixel - middle).T @ (pixel - middle) / len(pixel))
+        place = (pixel - middle) @ axes[:, 1]
+        if np.sqrt(spread[0]) > STRAIGHT or np.ptp(place) < shortest:
+            continue
+        ends = middle + np.outer([place.min(), place.max()], axes[:, 1])
+        normal = np.array([axes[1, 1], -axes[0, 1]])
+        own = planar.label[rows, columns]
+        left = (pixel - middle) @ normal
+        first = left[own == pair[0]].mean() if (own == pair[0]).any() else -1.0
+        rays = image.rays.numpy()[rows, columns].mean(0)
+        nearer_left = (rays @ (m[pair[0]] - m[pair[1]]) > 0) == (first > left.mean())
+        found.append(ends if nearer_left else ends[::-1])
+    return np.array(found).reshape(-1, 2, 2)
+
+
+def _borders(
+    label: Int[ndarray, "h w"], shortest: float
+) -> Iterator[tuple[Int[ndarray, "2"], Int[ndarray, " pixel"], Int[ndarray, " pixel"]]]:
+    """Each pair of planes side by side, and the rows and columns of their border."""
+    rows, columns, pairs = _border(label)
     if len(pairs) == 0:
-        return []
+        return
     names, which = np.unique(pairs, axis=0, return_inverse=True)
     which = which.ravel()
     order = np.argsort(which, kind="stable")
-    found = []
     for members in np.split(order, np.nonzero(np.diff(which[order]))[0] + 1):
         if len(members) >= 0.5 * shortest:
-            pair = names[which[members[0]]]
-            found += _of_pair(image, planar, pair, rows[members], columns[members], shortest)
-    return found
+            yield names[which[members[0]]], rows[members], columns[members]
 
 
 def _border(

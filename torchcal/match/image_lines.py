@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines, LineKind
-from torchcal.match.image_creases import Found, found_creases
+from torchcal.match.image_creases import Found, found_creases, straight_borders
 from torchcal.match.image_edges import jump_segments
 from torchcal.match.image_jumps import jumps
 from torchcal.match.image_labels import Planar
@@ -40,7 +40,10 @@ def image_lines(image: Image, planar: Planar, jumping: list[Found]) -> Lines:
     """Jump edges and the creases between planes."""
     beam = max(image.sensor.beam, 1)
     meeting = found_creases(image, planar, SHORTEST)
-    found = _once([*jumping, *meeting])
+    borders = straight_borders(image, planar, SHORTEST)
+    edges = np.array([each.pixels for each in jumping]).reshape(-1, 2, 2)
+    sides = _room(np.concatenate([borders, edges]), beam)[: len(borders)]
+    found = _once([*jumping, *meeting, *jumps(image, borders, sides)])
     return _lines(image, [_with_planes(each, planar, beam) for each in found])
 
 
