@@ -16,6 +16,8 @@ SMOOTHING = 5
 """Side in pixels of the mean that is compared with the planes, at the least."""
 NEAR_PLANE = 6.0
 """Standard deviations of the mean that a pixel may be off the plane it shows."""
+SURE = 2.0
+"""Standard deviations of chi-square that are no accident."""
 SMALLEST = 100
 """Pixels that must show a plane alone."""
 
@@ -134,7 +136,16 @@ def refit(
         size = torch.bincount(plane, minlength=count)
     chi2 = torch.bincount(plane, residual.square(), minlength=count) / (size - 3).clamp(min=1)
     covariance = torch.linalg.pinv(information, hermitian=True)
-    return estimate, covariance, chi2
+    return estimate, covariance * systematic(chi2, size, 3)[:, None, None], chi2
+
+
+def systematic(chi2: Tensor, count: Tensor, unknowns: int) -> Tensor:
+    """By what residuals that noise does not explain make a fit's covariance larger.
+
+    What is left over of chi-square is taken for an error with one sign all over the pixels.
+    """
+    surplus = chi2 - 1.0 - SURE * (2.0 / count.clamp(min=1)).sqrt()
+    return 1.0 + surplus.clamp(min=0.0) * count / unknowns
 
 
 def _spread(image: Image) -> Float[Tensor, "h w 2 3"]:

@@ -20,6 +20,8 @@ SHORTEST = 34.0
 """Pixels."""
 MARGIN = 10.0
 """Pixels beyond half the beam to which the strips along lines reach."""
+UNSURE_PLACE, UNSURE_TURN = 15.0, np.radians(25.0)
+"""Pixels and rad: the largest standard deviations of a line that is reported."""
 PARALLEL = float(np.cos(np.radians(35.0)))
 """Segments that are more parallel share the room between them."""
 LONGEST_GAP = 40.0
@@ -44,7 +46,19 @@ def image_lines(image: Image, planar: Planar, jumping: list[Found]) -> Lines:
     edges = np.array([each.pixels for each in jumping]).reshape(-1, 2, 2)
     sides = _room(np.concatenate([borders, edges]), beam)[: len(borders)]
     found = _once([*jumping, *meeting, *jumps(image, borders, sides)])
-    return _lines(image, [_with_planes(each, planar, beam) for each in found])
+    return _lines(image, [_with_planes(each, planar, beam) for each in found if _sure(image, each)])
+
+
+def _sure(image: Image, line: Found) -> bool:
+    """Whether the line's place and direction are known well enough to be of use."""
+    u, v = image.range.new_tensor(line.pixels.mean(0))
+    du, _ = image.sensor.projection.ray_derivatives(u, v)
+    distance = float(np.linalg.norm(line.point))
+    place, turn = (
+        float(np.sqrt(np.linalg.eigvalsh(line.covariance[part, part])[-1]))
+        for part in (slice(0, 3), slice(3, 6))
+    )
+    return place < UNSURE_PLACE * distance * float(du.norm()) and turn < UNSURE_TURN
 
 
 def _with_planes(line: Found, planar: Planar, beam: int) -> Found:

@@ -13,6 +13,8 @@ MOST = 2500
 STEEP = 3.0
 """The standard deviation of planes' slopes before anything is measured."""
 ROUNDS = 5
+SURE = 2.0
+"""Standard deviations of chi-square that are no accident."""
 FLATTEST = 0.1
 """Share of the typical inverse range below which no surface may fall in a strip."""
 
@@ -74,7 +76,7 @@ def fit_strip(
         ends=ends + offset[:, None] * normal,
         m_near=values[:3],
         m_far=values[3:6],
-        covariance=covariance * max(1.0, chi2),
+        covariance=covariance,
         chi2=chi2,
         normal=normal,
     )
@@ -177,12 +179,10 @@ def _fit(
     if not np.isfinite(values).all():
         return None
     chi2 = float((residual**2).mean()) * len(residual) / max(len(residual) - 8, 1)
-    return (
-        values,
-        np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
-        / np.outer(scale, scale),
-        chi2,
-    )
+    # Errors of the model have one sign all along the strip: noise alone would average out.
+    surplus = max(0.0, chi2 - 1.0 - SURE * (2.0 / len(residual)) ** 0.5) * len(residual) / 8
+    spread = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
+    return values, spread / np.outer(scale, scale) * (1.0 + surplus), chi2
 
 
 def _model(
