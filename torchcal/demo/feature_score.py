@@ -115,8 +115,11 @@ def _along(pixels: Float[ndarray, "line 2 2"]) -> tuple[ndarray, ndarray]:
 def line_nees(
     elements: Elements, edge: Int[ndarray, " line"], edges: VisibleEdges
 ) -> Float[ndarray, " true"]:
-    """Squared errors of true lines across themselves in units of their covariance, each of the
-    four degrees of freedom's mean."""
+    """Squared errors of true lines across themselves, in units of their covariance.
+
+    Returns:
+        The mean of the four degrees of freedom of each line.
+    """
     true = np.nonzero(edge >= 0)[0]
     ends = edges.ends[edge[true]]
     direction = elements.direction[true].numpy()

@@ -81,7 +81,7 @@ def _smooth_gradient(image: ndarray, valid: ndarray, scale: float) -> tuple[ndar
     share = ndimage.gaussian_filter(valid.astype(float), scale, mode="nearest")
     mean = ndimage.gaussian_filter(image, scale, mode="nearest") / np.maximum(share, 1e-9)
     dv, du = np.gradient(mean)
-    return du, dv
+    return np.asarray(du), np.asarray(dv)
 
 
 def _sampled(gradient: _Gradient, v: ndarray, u: ndarray, direction: ndarray) -> ndarray:
@@ -117,7 +117,7 @@ def _ridge(gradient: _Gradient, beam: int) -> Bool[ndarray, "h w"]:
         )
         for s in (0.0, 1.0, -1.0)
     )
-    ridge[v, u] = (own >= before) & (own > behind) & (top - np.maximum(*sides) > ABOVE)
+    ridge[v, u] = (own >= before) & (own > behind) & (top - np.maximum(sides[0], sides[1]) > ABOVE)
     return ridge
 
 

@@ -111,7 +111,7 @@ def _flat(windows: Windows) -> Bool[ndarray, "row column"]:
 
 def _seeds(flat: Bool[ndarray, "row column"]) -> list[tuple[int, int]]:
     """Flat windows amid flat ones, those with most room around first."""
-    room = ndimage.distance_transform_edt(np.pad(flat, 1))[1:-1, 1:-1]
+    room = np.asarray(ndimage.distance_transform_edt(np.pad(flat, 1)))[1:-1, 1:-1]
     rows, columns = np.nonzero(room >= 2.0)
     order = np.argsort(-room[rows, columns], kind="stable")
     return list(zip(rows[order].tolist(), columns[order].tolist(), strict=True))
@@ -157,6 +157,13 @@ def _forms(windows: Windows, flat: ndarray, agree: float) -> _Forms:
     return _Forms(rows=rows, flat=flat, agree=agree)
 
 
+def _connected(mask: Bool[ndarray, "row column"]) -> Int[ndarray, "row column"]:
+    """A number for each connected part."""
+    part = np.zeros(mask.shape, np.int32)
+    ndimage.label(mask, output=part)
+    return part
+
+
 def _grown(forms: _Forms, free: ndarray, seed: tuple) -> tuple[ndarray, ndarray]:
     """The connected windows that agree with the plane through the seed, and that plane."""
     rows, columns = np.ogrid[: free.shape[0], : free.shape[1]]
@@ -166,7 +173,7 @@ def _grown(forms: _Forms, free: ndarray, seed: tuple) -> tuple[ndarray, ndarray]
     for reach in (*STAGES, *STAGES[-1:]):
         alike = free & (far <= reach) & (forms.distance(m) < forms.agree)
         alike[seed] = True
-        part, _ = ndimage.label(alike)
+        part = _connected(alike)
         members = part == part[seed]
         m = forms.fit(members)
     return members, m

@@ -1,7 +1,5 @@
 """Jump edges of a range image: straight borders of nearer surfaces."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray

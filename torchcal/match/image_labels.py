@@ -33,7 +33,7 @@ class Planar:
     m: Float[Tensor, "plane 3"]
     covariance: Float[Tensor, "plane 3 3"]
     """Of m."""
-    chi2: Float[Tensor, "plane"]
+    chi2: Float[Tensor, " plane"]
     """Of the residuals, for each degree of freedom."""
     excess: float
     """Variance of the planes' windows in units of what the noise explains."""
@@ -82,13 +82,14 @@ def _nearest(image: Image, windows: Windows, regions: Regions, reach: int) -> nd
 
 
 def _box(place: tuple, windows: Windows, reach: int, shape: tuple) -> tuple[slice, slice]:
-    return tuple(
+    rows, columns = (
         slice(
             max(part.start * windows.stride - reach, 0),
             min((part.stop - 1) * windows.stride + windows.side + reach, size),
         )
         for part, size in zip(place, shape, strict=True)
     )
+    return rows, columns
 
 
 def _core(members: ndarray, place: tuple, windows: Windows, box: tuple) -> ndarray:
@@ -107,7 +108,8 @@ def _core(members: ndarray, place: tuple, windows: Windows, box: tuple) -> ndarr
 def _pure(label: ndarray, valid: ndarray, half: int) -> ndarray:
     """Pixels with one label all over their beam."""
     side = 2 * half + 3
-    low, high = ndimage.minimum_filter(label, side), ndimage.maximum_filter(label, side)
+    low = np.asarray(ndimage.minimum_filter(label, side))
+    high = np.asarray(ndimage.maximum_filter(label, side))
     return (low == high) & (label >= 0) & valid
 
 
@@ -124,17 +126,24 @@ def refit(
     plane = label[used]
     rays, ranges, sigma = image.rays[used], image.range[used], image.sigma[used]
     spread = _spread(image)[used]
-    estimate = torch.as_tensor(m, dtype=ranges.dtype)
-    for _ in range(2):
+    size = torch.bincount(plane, minlength=count)
+
+    def linearised(estimate: Tensor) -> tuple[Tensor, Tensor]:
         own = estimate[plane]
         inverse = (own * rays).sum(-1)
         bend = 1.0 + (spread @ own[..., None]).squeeze(-1).square().sum(-1) / inverse.square()
-        residual = (ranges - bend / inverse) / sigma
         jacobian = -rays * (bend / (sigma * inverse.square()))[:, None]
+        return (ranges - bend / inverse) / sigma, jacobian
+
+    estimate = torch.as_tensor(m, dtype=ranges.dtype)
+    for _ in range(2):
+        residual, jacobian = linearised(estimate)
         information, moment = _sums(plane, jacobian, residual, count)
         estimate = estimate + torch.linalg.solve_ex(information, moment)[0]
-        size = torch.bincount(plane, minlength=count)
-    chi2 = torch.bincount(plane, residual.square(), minlength=count) / (size - 3).clamp(min=1)
+    residual, jacobian = linearised(estimate)
+    information, _ = _sums(plane, jacobian, residual, count)
+    squares = torch.bincount(plane, residual.square(), minlength=count).to(ranges)
+    chi2 = squares / torch.clamp(size - 3, min=1)
     covariance = torch.linalg.pinv(information, hermitian=True)
     return estimate, covariance * systematic(chi2, size, 3)[:, None, None], chi2
 

@@ -9,7 +9,7 @@ from numpy import ndarray
 from scipy import ndimage
 
 from torchcal.match.elements import Elements
-from torchcal.match.features import Lines, LineKind
+from torchcal.match.features import Lines
 from torchcal.match.image_creases import Found, found_creases, straight_borders
 from torchcal.match.image_edges import jump_segments
 from torchcal.match.image_jumps import jumps
@@ -58,7 +58,7 @@ def _sure(image: Image, line: Found) -> bool:
         float(np.sqrt(np.linalg.eigvalsh(line.covariance[part, part])[-1]))
         for part in (slice(0, 3), slice(3, 6))
     )
-    return place < UNSURE_PLACE * distance * float(du.norm()) and turn < UNSURE_TURN
+    return bool(place < UNSURE_PLACE * distance * float(du.norm()) and turn < UNSURE_TURN)
 
 
 def _with_planes(line: Found, planar: Planar, beam: int) -> Found:

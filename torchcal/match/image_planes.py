@@ -1,5 +1,7 @@
 """The planes of a range image with their areas and outlines."""
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -59,7 +61,7 @@ def _elements(m: Tensor, covariance: Tensor, middle: Tensor) -> Elements:
 
 
 def _patch(image: Image, rows: ndarray, columns: ndarray) -> Float[Tensor, " pixel"]:
-    """ray . (dray/du x dray/dv): the solid angle of a pixel, in lengths of its ray."""
+    """The solid angle of each pixel in lengths of its ray: ray . (dray/du x dray/dv)."""
     u = torch.as_tensor(columns, dtype=image.range.dtype)
     v = torch.as_tensor(rows, dtype=image.range.dtype)
     du, dv = image.sensor.projection.ray_derivatives(u, v)
@@ -76,9 +78,7 @@ def _edge(label: Int[ndarray, "h w"]) -> ndarray:
 
 def _outlines(points: Tensor, name: ndarray, count: int) -> tuple[Tensor, ...]:
     starts = np.searchsorted(name, np.arange(count + 1))
-    return tuple(
-        _hull(points[first:last]) for first, last in zip(starts[:-1], starts[1:], strict=True)
-    )
+    return tuple(_hull(points[first:last]) for first, last in pairwise(starts))
 
 
 def _hull(points: Float[Tensor, "point 3"]) -> Float[Tensor, "corner 3"]:

@@ -159,30 +159,39 @@ def _fit(
     prior = np.zeros((8, 8))
     prior[:3, :3] = prior[3:6, 3:6] = _prior(pixels.rays.mean(0), typical)
     prior[6, 6], prior[7, 7] = (1.0 / beam) ** 2 / 4, (length / beam) ** 2 / 16
+    limit = np.array([beam / 4.0, beam / (2 * length)])
     for _ in range(ROUNDS):
-        model, jacobian = _model(pixels, values, normal, beam)
-        residual = (pixels.range - model) / pixels.sigma
-        jacobian = jacobian / pixels.sigma[:, None]
-        information = jacobian.T @ jacobian + prior
-        scale = np.sqrt(np.diag(information))
-        step = (
-            np.linalg.lstsq(
-                information / np.outer(scale, scale),
-                (jacobian.T @ residual - prior @ values) / scale,
-                rcond=1e-12,
-            )[0]
-            / scale
-        )
-        limit = np.array([beam / 4.0, beam / (2 * length)])
+        residual, jacobian = _whitened(pixels, values, normal, beam)
+        step, _ = _solved(jacobian, residual, prior, values)
         step[6:] = np.clip(step[6:], -limit, limit)
         values = values + step
     if not np.isfinite(values).all():
         return None
-    chi2 = float((residual**2).mean()) * len(residual) / max(len(residual) - 8, 1)
+    residual, jacobian = _whitened(pixels, values, normal, beam)
+    _, covariance = _solved(jacobian, residual, prior, values)
+    chi2 = float(residual @ residual) / max(len(residual) - 8, 1)
     # Errors of the model have one sign all along the strip: noise alone would average out.
     surplus = max(0.0, chi2 - 1.0 - SURE * (2.0 / len(residual)) ** 0.5) * len(residual) / 8
+    return values, covariance * (1.0 + surplus), chi2
+
+
+def _whitened(
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int
+) -> tuple[Float[ndarray, " pixel"], Float[ndarray, "pixel 8"]]:
+    """Residuals and their model's derivatives in standard deviations."""
+    model, jacobian = _model(pixels, values, normal, beam)
+    return (pixels.range - model) / pixels.sigma, jacobian / pixels.sigma[:, None]
+
+
+def _solved(
+    jacobian: ndarray, residual: ndarray, prior: ndarray, values: ndarray
+) -> tuple[Float[ndarray, "8"], Float[ndarray, "8 8"]]:
+    """The Gauss-Newton step, and the covariance."""
+    information = jacobian.T @ jacobian + prior
+    scale = np.sqrt(np.diag(information))
     spread = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
-    return values, spread / np.outer(scale, scale) * (1.0 + surplus), chi2
+    covariance = spread / np.outer(scale, scale)
+    return covariance @ (jacobian.T @ residual - prior @ values), covariance
 
 
 def _model(
