@@ -19,6 +19,8 @@ FITS = 1.6
 """The largest chi-square per degree of freedom of two planes with a straight border."""
 SHORTEST_PART = 30.0
 """Pixels below which a segment is cut no further."""
+MEETING = 0.25
+"""Of the beam's side: planes that meet nearer to the line have a crease there, no jump."""
 UNSURE = np.radians(1.3)
 """A line whose direction in the image is less sure than this standard deviation is none."""
 
@@ -61,6 +63,10 @@ def _line(image: Image, strip: Strip, segment: Float[ndarray, "2 2"]) -> Found |
     if turn > UNSURE or np.linalg.norm(strip.ends - segment, axis=1).max() > 0.8 * beam:
         return None
     ray, du, dv = central_ray(image, middle)
+    apart = strip.m_near - strip.m_far
+    slope = np.array([du @ apart, dv @ apart]) @ strip.normal
+    if abs(apart @ ray) < max(2.0, MEETING * beam) * abs(slope):
+        return None
     near, far = 1.0 / (strip.m_near @ ray), 1.0 / (strip.m_far @ ray)
     gradient = np.zeros(8)
     gradient[:3], gradient[3:6] = near**2 * ray, -(far**2) * ray
