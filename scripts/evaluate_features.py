@@ -80,7 +80,7 @@ def _view(
     features = image_features(torch.from_numpy(ranges), HALL)
     seconds = time.process_time() - start
     pixels = HALL.projection.pixels(features.lines.ends).numpy()
-    score = score_lines(pixels, edges, longest=60.0)
+    score = score_lines(pixels, edges, longest=60.0, beam=HALL.beam)
     planes, off = plane_nees(features.planes.elements, scene, HALL.projection)
     lines = line_nees(features.lines.elements, score.edge, edges)
     if picture:
@@ -89,6 +89,8 @@ def _view(
     return {
         "edges": len(score.found),
         "edges_found": int(score.found.sum()),
+        "alone": int(score.alone.sum()),
+        "alone_found": int((score.alone & score.found).sum()),
         "lines": len(pixels),
         "lines_spurious": int((score.edge < 0).sum()),
         "planes": features.planes.elements.count,
@@ -107,13 +109,14 @@ def _together(views: list[dict[str, Any]]) -> dict[str, float]:
 
     figures: dict[str, float] = {
         "edges_found_percent": 100.0 * total("edges_found") / total("edges"),
+        "alone_found_percent": 100.0 * total("alone_found") / total("alone"),
         "lines_spurious_percent": 100.0 * total("lines_spurious") / total("lines"),
     }
     for key in ("crease_nees", "jump_nees", "plane_nees"):
         values = np.concatenate([each[key] for each in views])
         figures[f"{key}_mean"] = float(values.mean())
         figures[f"{key}_median"] = float(np.median(values))
-    for key in ("edges", "lines", "planes", "planes_spurious", "vertices", "cpu_seconds"):
+    for key in ("edges", "alone", "lines", "planes", "planes_spurious", "vertices", "cpu_seconds"):
         figures[f"{key}_mean"] = total(key) / len(views)
     return figures
 

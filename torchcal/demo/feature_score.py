@@ -27,13 +27,15 @@ class LineScore:
     """Which edges are found, and which lines are true."""
 
     found: Bool[ndarray, " target"]
-    """Of the strong edges that the image can tell apart."""
+    """Of the strong edges, those that could pass for another one counted once."""
+    alone: Bool[ndarray, " target"]
+    """Those with no other strong edge beside them within the beam."""
     edge: Int[ndarray, " line"]
     """The visible edge that each line is; -1: spurious, or found already."""
 
 
 def score_lines(
-    lines: Float[ndarray, "line 2 2"], edges: VisibleEdges, *, longest: float
+    lines: Float[ndarray, "line 2 2"], edges: VisibleEdges, *, longest: float, beam: float = 0.0
 ) -> LineScore:
     """Assigns each line at most one edge and each edge at most one line, strong edges first.
 
@@ -41,6 +43,7 @@ def score_lines(
         lines: Both ends of each line in the image.
         edges: What there is to be seen.
         longest: Pixels that an edge's strong part must be longer than to be looked for.
+        beam: Pixels within which the blur mixes edges side by side.
     """
     strong = edges.strong > longest
     targets = _distinct(edges.pixels, np.where(strong, edges.strong, -1.0))
@@ -58,7 +61,9 @@ def score_lines(
             near = twin[each] & np.isin(np.arange(len(taken)), edge[:k])
             taken |= near
         taken[max(each, 0)] |= each >= 0
-    return LineScore(found=np.isin(targets, edge), edge=edge)
+    crowd = _fits(edges.pixels, edges.pixels, np.radians(15.0), beam)[np.ix_(targets, targets)]
+    alone = (crowd | crowd.T).sum(1) <= 1
+    return LineScore(found=np.isin(targets, edge), alone=alone, edge=edge)
 
 
 def _assign(off: Float[ndarray, "line edge"], edge: Int[ndarray, " line"], wanted: ndarray) -> None:
@@ -83,15 +88,20 @@ def _distinct(pixels: Float[ndarray, "edge 2 2"], weight: Float[ndarray, " edge"
     return np.array(kept, dtype=int)
 
 
-def _fits(lines: Float[ndarray, "line 2 2"], edges: Float[ndarray, "edge 2 2"]) -> ndarray:
+def _fits(
+    lines: Float[ndarray, "line 2 2"],
+    edges: Float[ndarray, "edge 2 2"],
+    most_angle: float = float(ANGLE),
+    distance: float = DISTANCE,
+) -> ndarray:
     along, length = _along(lines)
     own, size = _along(edges)
     angle = np.arccos(np.clip(np.abs(along @ own.T), 0.0, 1.0))
     place = np.einsum("leik,lk->lei", edges[None] - lines[:, None, :1], along)
     shared = np.minimum(place.max(-1), length[:, None]) - np.maximum(place.min(-1), 0.0)
     shorter = np.minimum(length[:, None], size)
-    near = _offset(lines, edges) < DISTANCE
-    return (angle < ANGLE) & near & (shared > SHARED * shorter)
+    near = _offset(lines, edges) <= distance
+    return (angle < most_angle) & near & (shared > SHARED * shorter)
 
 
 def _offset(lines: Float[ndarray, "line 2 2"], edges: Float[ndarray, "edge 2 2"]) -> ndarray:

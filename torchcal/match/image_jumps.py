@@ -21,7 +21,7 @@ SHORTEST_PART = 30.0
 """Pixels below which a segment is cut no further."""
 MEETING = 0.25
 """Of the beam's side: planes that meet nearer to the line have a crease there, no jump."""
-UNSURE = np.radians(1.3)
+UNSURE = np.radians(1.8)
 """A line whose direction in the image is less sure than this standard deviation is none."""
 
 

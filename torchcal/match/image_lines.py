@@ -20,7 +20,7 @@ SHORTEST = 34.0
 """Pixels."""
 MARGIN = 10.0
 """Pixels beyond half the beam to which the strips along lines reach."""
-UNSURE_PLACE, UNSURE_TURN = 15.0, np.radians(25.0)
+UNSURE_PLACE, UNSURE_TURN = 40.0, np.radians(60.0)
 """Pixels and rad: the largest standard deviations of a line that is reported."""
 PARALLEL = float(np.cos(np.radians(35.0)))
 """Segments that are more parallel share the room between them."""
