@@ -22,8 +22,6 @@ FIRST_PART = 20
 """Smaller labels are the table and what is unlabelled."""
 FLAT = 2e-3
 """m. A part is flat whose median distance from its own plane is smaller."""
-ON_PLANE = 5e-3
-"""m. Pixels nearer to a part's plane show it."""
 FOUND = 0.7
 """Intersection over union of a part and a plane that are one."""
 
@@ -32,11 +30,10 @@ def part_scores(folder: Path) -> dict[str, float]:
     """Measures the planes found in all images of a folder.
 
     Returns:
-        Percent of the flat parts' area that is found as one plane; percent of it in parts that a
-        single plane fills well enough to be found as one (others have several faces); percent of
-        the area of planes on parts that lies across the border of the plane's part.
+        Percent of the flat parts' area that is found as one plane; percent of the area of planes
+        on parts that lies across the border of the plane's part.
     """
-    flat_area = found_area = one_face_area = plane_area = across_area = 0
+    flat_area = found_area = plane_area = across_area = 0
     for file in sorted(folder.glob("*.npz")):
         data = np.load(file)
         depth = torch.from_numpy(data["depth"]).double()
@@ -44,22 +41,20 @@ def part_scores(folder: Path) -> dict[str, float]:
         parts = np.where((data["depth"] > 0) & (data["label"] >= FIRST_PART), data["label"], 0)
         for name in np.unique(parts[parts > 0]):
             part = parts == name
-            if _distance(depth.numpy(), part)[0] < FLAT:
+            if _distance(depth.numpy(), part) < FLAT:
                 flat_area += part.sum()
                 found_area += part.sum() * (_best(label, part) > FOUND)
-                one_face_area += part.sum() * (_distance(depth.numpy(), part)[1] > FOUND)
         shown, outside = _across(label, data["label"], data["depth"] > 0)
         plane_area += shown
         across_area += outside
     return {
         "found_percent": 100.0 * float(found_area) / max(float(flat_area), 1.0),
-        "one_face_percent": 100.0 * float(one_face_area) / max(float(flat_area), 1.0),
         "across_percent": 100.0 * float(across_area) / max(float(plane_area), 1.0),
     }
 
 
-def _distance(depth: Float[ndarray, "h w"], part: Bool[ndarray, "h w"]) -> tuple[float, float]:
-    """Of a part from the plane that fits it best: the median distance (m), the share on it."""
+def _distance(depth: Float[ndarray, "h w"], part: Bool[ndarray, "h w"]) -> float:
+    """The median distance (m) of a part's pixels from the plane that fits them best."""
     v, u = np.nonzero(part)
     rays = CAMERA.projection.rays(torch.from_numpy(u * 1.0), torch.from_numpy(v * 1.0)).numpy()
     points = rays * depth[v, u, None]
@@ -70,7 +65,7 @@ def _distance(depth: Float[ndarray, "h w"], part: Bool[ndarray, "h w"]) -> tuple
         normal = np.linalg.svd((points[used] - middle).T @ (points[used] - middle))[0][:, 2]
         off = np.abs((points - middle) @ normal)
         used = off <= 3.0 * np.median(off)
-    return float(np.median(off)), float((off < ON_PLANE).mean())
+    return float(np.median(off))
 
 
 def _best(label: Int[ndarray, "h w"], part: Bool[ndarray, "h w"]) -> float:

@@ -75,7 +75,7 @@ def _nearest(image: Image, windows: Windows, regions: Regions, reach: int) -> nd
             off = np.abs(smooth[box] * (rays[box] @ regions.m[index]) - 1.0) * smooth[box]
         near = off < limit[box]
         seen = np.asarray(ndimage.binary_dilation(near, iterations=max(image.sensor.beam // 2, 1)))
-        close = np.asarray(ndimage.maximum_filter(core, 2 * reach + 1)) & seen & valid[box]
+        close = np.logical_and(ndimage.maximum_filter(core, 2 * reach + 1), seen & valid[box])
         nearer = close & (off < best[box])
         best[box][nearer] = off[nearer]
         label[box][nearer] = index

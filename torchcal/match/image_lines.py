@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from numpy import ndarray
-from scipy import ndimage
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines
@@ -196,7 +195,10 @@ def _is_end(
     inside = ((beyond >= 0) & (beyond <= np.array([w - 1, h - 1]))).all(-1)
     u, v = np.clip(np.round(beyond), 0, np.array([w - 1, h - 1])).astype(int).transpose(2, 0, 1)
     ranges = np.where(image.valid.numpy(), image.range.numpy(), np.inf)
-    around = ndimage.median_filter(ranges, 5) if len(pixels) else ranges
+    rows, columns = np.mgrid[-2:3, -2:3].reshape(2, -1)
+    patch = ranges[
+        np.clip(v[..., None] + rows, 0, h - 1), np.clip(u[..., None] + columns, 0, w - 1)
+    ]
     own = image.sensor.projection.ranges(torch.from_numpy(ends)).numpy()
     slack = image.sensor.noise.sigma(torch.from_numpy(own)).numpy() * 3.0 + 0.01 * own
-    return inside & (around[v, u] > own - slack)
+    return inside & (np.median(patch, -1) > own - slack)
