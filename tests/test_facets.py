@@ -1,9 +1,13 @@
 """Planes of faces: ranges and their derivatives against automatic differentiation."""
 
+import pytest
 import torch
+from scenes import CAMERA, LIDAR
+from torch import Tensor
 
 from torchcal.geometry import se3
-from torchcal.render.facets import Facets
+from torchcal.geometry.projection import Projection
+from torchcal.render.facets import Facets, Hits, Spread
 
 FACES = torch.tensor([[0, 1, 2], [1, 2, 3]])
 
@@ -37,16 +41,34 @@ def test_a_wall_across_the_axis_is_at_its_depth():
 def test_no_face_has_no_range_and_no_derivative(rng: torch.Generator):
     facets, ray, none = Facets.of(corners(rng), FACES), rays(rng, 2), torch.tensor([-1, -1])
     assert (facets.ranges(none, ray) == 0).all()
-    assert (facets.at(none, ray).slopes(ray.flip(0)) == 0).all()
     assert (facets.at(none, ray).twist_derivatives() == 0).all()
 
 
-def test_slopes_follow_the_rays(rng: torch.Generator):
-    facets, ray, step = Facets.of(corners(rng), FACES), rays(rng, 2), rays(rng, 2)
-    face = torch.tensor([0, 1])
-    jacobian = torch.autograd.functional.jacobian(lambda r: facets.ranges(face, r), ray)
-    expected = (jacobian * step).sum((-2, -1))
-    torch.testing.assert_close(facets.at(face, ray).slopes(step), expected)
+@pytest.mark.parametrize("projection", [CAMERA, LIDAR], ids=["pinhole", "spherical"])
+def test_means_over_pixels_are_those_of_many_rays(projection: Projection, rng: torch.Generator):
+    """To the fourth order of a pixel's size; the derivative as well, by differences."""
+    vertices = corners(rng)
+    u, v = torch.tensor([[13.0, 21.0], [17.0, 9.0]], dtype=torch.float64)
+    index = torch.tensor([0, 0])
+    to_u, to_v = projection.ray_derivatives(u, v)
+    ray, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
+    if curves is not None:
+        ray = ray + (curves[0] + curves[2]) / 24.0
+
+    def mean(twist: Tensor) -> Hits:
+        T = se3.exp(twist)
+        facets = Facets.of(vertices @ T[:3, :3].mT + T[:3, 3], FACES)
+        return facets.at(index, ray).averaged(Spread.of_square(ray), to_u, to_v)
+
+    facets = Facets.of(vertices, FACES)
+    steps = (torch.arange(40, dtype=torch.float64) + 0.5) / 40 - 0.5
+    a, b = torch.meshgrid(steps, steps, indexing="ij")
+    rays = projection.rays(u[:, None, None] + a, v[:, None, None] + b)
+    expected = facets.ranges(index[:, None, None].expand(2, 40, 40), rays).mean((1, 2))
+    twist = torch.zeros(6, dtype=torch.float64)
+    torch.testing.assert_close(mean(twist).range, expected, rtol=1e-5, atol=0)
+    jacobian = torch.autograd.functional.jacobian(lambda x: mean(x).range, twist)
+    torch.testing.assert_close(mean(twist).twist_derivatives().mT, jacobian)
 
 
 def test_twist_derivatives_follow_the_face(rng: torch.Generator):

@@ -16,7 +16,7 @@ from torchcal.render.synthesis import synthesise
 if find_spec("numba") is None:
     pytest.skip("numba is not installed", allow_module_level=True)
 
-from torchcal.render import raster
+from torchcal.render.machine_code import zbuffer as raster
 
 AROUND = Spherical(width=90, height=40, azimuth=(-3.1, 3.1), elevation=(1.5, -1.5))
 WIDE = Pinhole(width=150, height=131, fx=60.0, fy=62.0, cx=70.3, cy=66.2)
@@ -76,10 +76,12 @@ def test_one_thread_sees_what_two_see():
 def test_without_numba_the_images_are_the_same(monkeypatch: pytest.MonkeyPatch):
     surface, sensor = surface_of(*cell()), sensor_of(CAMERA, 5)
     with_numba = synthesise(surface, at_rest(surface), sensor).range
-    assert visibility.machine_code_for(surface.vertices, "raster") is raster
+    assert visibility.machine_code_for(surface.vertices, "zbuffer") is raster
     monkeypatch.setattr(machine_code, "_loaded", lambda _: None)
-    assert visibility.machine_code_for(surface.vertices, "raster") is None
-    assert torch.equal(synthesise(surface, at_rest(surface), sensor).range, with_numba)
+    assert visibility.machine_code_for(surface.vertices, "zbuffer") is None
+    by_tensors = synthesise(surface, at_rest(surface), sensor).range
+    # Both clip edges to pixels in double precision, in another order of operations.
+    torch.testing.assert_close(by_tensors, with_numba, rtol=1e-9, atol=0)
 
 
 def test_a_module_that_cannot_be_loaded_is_none():

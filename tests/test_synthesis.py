@@ -148,7 +148,8 @@ def test_differences_of_images_give_the_jacobian(
             for s in (1.0, -1.0)
         )
         difference = (ahead - behind) / (2 * step)
-        off = (difference - jacobian[..., i]).abs() > 1e-4 * (1.0 + difference.abs())
+        # Pixels of 0.03 rad are flat to 1e-4 only, in a spherical sensor.
+        off = (difference - jacobian[..., i]).abs() > 5e-4 * (1.0 + difference.abs())
         assert off.double().mean() <= FLIPS * beam**2  # one flip is in beam x beam pixels
 
 

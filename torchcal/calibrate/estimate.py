@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
-from torchcal.calibrate.observation import coarser, cropped, observe
+from torchcal.calibrate.observation import coarser, cropped, observe, sharpened
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
     Refined,
@@ -57,7 +57,7 @@ def choose_start(
 ) -> Choice:
     """Hypotheses, robust fits and a score that needs no truth (3.5)."""
     observation = cropped(observe(job))
-    coarse = coarser(observation, coarse_factor(observation))
+    coarse = sharpened(coarser(observation, coarse_factor(observation)))
     candidates = find_candidates(coarse, scene.surface, parameters, generator)
     solution = coarse_fit(coarse, scene.surface, parameters, candidates)
     scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)

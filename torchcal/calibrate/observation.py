@@ -97,6 +97,16 @@ def coarser(observation: Observation, factor: int) -> Observation:
     )
 
 
+def sharpened(observation: Observation) -> Observation:
+    """The same for a start: pixels of a sharp sensor are compared with the ray in their middle.
+
+    That is a fraction of the work of their area where a coarse pixel shows many faces of a mesh.
+    """
+    if observation.sensor.beam > 1:
+        return observation
+    return replace(observation, sensor=replace(observation.sensor, beam=0))
+
+
 def _block_mean(images: Tensor, factor: int) -> Tensor:
     return functional.avg_pool2d(images[:, None], factor)[:, 0]
 

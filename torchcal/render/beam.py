@@ -1,5 +1,6 @@
 """The beam of eq. 17 and 18: the mean over a square of pixels."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
@@ -36,4 +37,12 @@ def _window_sum(part: Tensor, side: int, axis: int) -> Tensor:
 
 def beam_area(height: int, width: int, side: int, like: Tensor) -> Float[Tensor, "h w"]:
     """Area (pixels) of the part inside the image of the box about each pixel."""
-    return box_sum(like.new_ones(height, width), side)
+    rows, columns = (_inside(size, side, like) for size in (height, width))
+    return rows[:, None] * columns
+
+
+def _inside(size: int, side: int, like: Tensor) -> Tensor:
+    """How many pixels of each window are inside an axis."""
+    place = torch.arange(size, dtype=like.dtype, device=like.device)
+    half = side // 2
+    return (place + half).clamp(max=size - 1) - (place - half).clamp(min=0) + 1

@@ -6,6 +6,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchcal.geometry.projection import Projection, Spherical
+from torchcal.render.squares import Squares, tile_numbers, tiles_of
 
 CLOSE = 1e-6
 """Corners nearer than this (m) to a pinhole's plane do not bound their face in the image."""
@@ -65,6 +66,16 @@ def tile_cones(
     rays = torch.stack([normalize(projection.rays(u, v), dim=-1) for u, v in corners], -2)
     chord = (rays - axis[..., None, :]).norm(dim=-1).amax(-1)
     return axis, (1.05 * chord).clamp(max=1.0) + 1e-6
+
+
+def tiles_of_points(
+    squares: Squares, square: Int[Tensor, " point"], projection: Projection, views: int
+) -> Int[Tensor, "view row column 2"]:
+    """The first point in each tile, and how many there are; points come tile after tile."""
+    columns, rows = tiles_of(projection)
+    tile = tile_numbers(squares.view, squares.u, squares.v, projection)
+    count = tile[square].bincount(minlength=views * rows * columns)
+    return torch.stack([count.cumsum(0) - count, count], -1).view(views, rows, columns, 2)
 
 
 def _bounds(of_vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:

@@ -8,14 +8,31 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Spread:
+    """Second moments of regions about their centroids, over their areas (pixels^2)."""
+
+    uu: Float[Tensor, "*#batch 1"]
+    uv: Float[Tensor, "*#batch 1"]
+    vv: Float[Tensor, "*#batch 1"]
+
+    @staticmethod
+    def of_square(like: Tensor) -> "Spread":
+        """Of a whole pixel."""
+        third = like.new_full((1,), 1.0 / 12.0)
+        return Spread(uu=third, uv=torch.zeros_like(third), vv=third)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Hits:
     """Where rays meet the planes of faces."""
 
     rays: Float[Tensor, "*#batch 3"]
+    """``range * rays`` is the point (m) that moves with the face."""
     normal: Float[Tensor, "*batch 3"]
     """Not normalised; 0 where there is no face."""
     scale: Float[Tensor, "*batch"]
-    """1 / (normal . ray); 0 where nothing is met."""
+    """1 / (normal . ray): times ``normal``, the derivative of the range to the face's motion (m);
+    0 where nothing is met."""
     range: Float[Tensor, "*batch"]
     """m; 0 where nothing is met."""
 
@@ -28,9 +45,32 @@ class Hits:
             range=self.range.masked_fill(outside, 0.0),
         )
 
-    def slopes(self, rays_step: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch"]:
-        """Derivative of the range when the rays move by ``rays_step``; 0 where nothing is met."""
-        return -self.range * dot(self.normal, rays_step) * self.scale
+    def averaged(
+        self, spread: Spread, to_u: Float[Tensor, "*#batch 3"], to_v: Float[Tensor, "*#batch 3"]
+    ) -> "Hits":
+        """The mean ranges over regions whose centroids the rays see, and their derivatives.
+
+        With w = n . ray and the range 1 / w but for a factor, it is the second order of the mean.
+
+        Args:
+            spread: Of the regions.
+            to_u: How rays turn from column to column.
+            to_v: And from row to row.
+        """
+        scale = self.scale[..., None]
+        normal = self.normal * scale
+        slope_u, slope_v = dot(normal, to_u)[..., None], dot(normal, to_v)[..., None]
+        across_u = spread.uu * slope_u + spread.uv * slope_v
+        across_v = spread.uv * slope_u + spread.vv * slope_v
+        twice = 2.0 * (across_u * to_u + across_v * to_v)
+        excess = across_u * slope_u + across_v * slope_v
+        gain = 1.0 + excess
+        return replace(
+            self,
+            rays=((gain + 2.0 * excess) * self.rays - twice) / gain.square(),
+            scale=self.scale * gain[..., 0],
+            range=self.range * gain[..., 0],
+        )
 
     def twist_derivatives(self) -> Float[Tensor, "6 ..."]:
         """Derivative of the range to the motion of the face: dz/dp = n / (n . ray).

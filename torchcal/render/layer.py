@@ -1,4 +1,4 @@
-"""Every pixel's own area: filled by what its central ray meets, then shared along silhouettes."""
+"""Every pixel's own area: filled by what its central ray meets, or by regions of several faces."""
 
 from dataclasses import dataclass
 
@@ -6,10 +6,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.geometry.projection import Projection
-from torchcal.render.crossings import Crossings
-from torchcal.render.facets import Facets, Hits
+from torchcal.geometry.projection import pixel_grid
+from torchcal.model.sensor import Sensor
+from torchcal.render.facets import Facets, Spread
 from torchcal.render.motion import BodyMotion
+from torchcal.render.soup import Views
+from torchcal.render.squares import Squares
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,101 +26,74 @@ class Layer:
     area_derivative: Float[Tensor, "view parameter h w"] | None = None
     """None if no silhouette borders on emptiness: all are 0."""
 
-    def crop(self, rows: slice, columns: slice) -> "Layer":
-        """The part in some rows and columns."""
-        change = self.area_derivative
-        return Layer(
-            total=self.total[..., rows, columns],
-            area=self.area[..., rows, columns],
-            total_derivative=self.total_derivative[..., rows, columns],
-            area_derivative=None if change is None else change[..., rows, columns],
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sums:
+    """Integrals over squares, as in ``Layer``, and their derivatives to the parameters."""
+
+    total: Float[Tensor, " square"]
+    area: Float[Tensor, " square"]
+    total_derivative: Float[Tensor, "square parameter"]
+    area_derivative: Float[Tensor, "square parameter"]
+
+    @staticmethod
+    def split(sums: Float[Tensor, "square sum"]) -> "Sums":
+        """From the columns total, area, and the derivatives of both."""
+        count = (sums.shape[1] - 2) // 2
+        total, area, to_total, to_area = sums.split([1, 1, count, count], 1)
+        return Sums(
+            total=total[:, 0], area=area[:, 0], total_derivative=to_total, area_derivative=to_area
         )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Part:
-    """A part of each crossing's pixel, by the range in its middle."""
+def hard_layer(face: Int[Tensor, "view h w"], views: Views, motion: BodyMotion | None) -> Layer:
+    """The layer as if every pixel were filled by the face that its central ray meets.
 
-    range: Tensor
-    slope: Tensor
-    """Derivative of the range to the middle's place."""
-    derivative: Tensor
-    """Derivative of the range to the parameters, the middle at rest."""
-
-
-def hard_layer(face: Int[Tensor, "view h w"], hits: Hits, motion: BodyMotion | None) -> Layer:
-    """The layer as if every pixel were filled by the face that its central ray meets."""
-    views, height, width = face.shape
-    derivative = hits.range.new_zeros(views, 0, height, width)
-    if motion is not None:
-        derivative = motion.of_images(hits.twist_derivatives(), face)
-    area = (face >= 0).to(hits.range)
-    return Layer(total=hits.range, area=area, total_derivative=derivative)
-
-
-def soften(
-    layer: Layer,
-    crossings: Crossings,
-    facets: Facets,
-    projection: Projection,
-    motion: BodyMotion | None,
-) -> Layer:
-    """Gives the strips beyond the silhouettes to the surfaces that are seen there.
-
-    In the row of a crossing the pixel's own face keeps the part from -1/2 to ``gap``, the other
-    face takes the strip from there to 1/2. Each part counts with the range in its middle: no plane
-    is extended beyond its silhouette, where one that is seen edge-on would be anywhere.
+    Args:
+        face: Of the triangles of all views; -1 where there is none.
+        views: What is seen from where.
+        motion: How bodies move with the parameters.
     """
-    gap, own, other = crossings.gap, crossings.own_face, crossings.other_face
-    kept_width, strip_width = 0.5 + gap, 0.5 - gap
-    kept = _part(own, 0.5 * (gap - 0.5), crossings, facets, projection, motion)
-    strip = _part(other, 0.5 * (gap + 0.5), crossings, facets, projection, motion)
-    view, (u, v) = crossings.view, crossings.pixel.unbind(1)
-    place = (view, v, u)
-    gained = crossings.sign * ((other >= 0).to(gap) - (own >= 0).to(gap))
-    change = kept_width * kept.range + strip_width * strip.range - layer.total[place]
-    total = _add(layer.total, place, crossings.sign * change)
-    area = _add(layer.area, place, strip_width * gained)
-    if motion is None:
-        return Layer(total=total, area=area, total_derivative=layer.total_derivative)
-    to_gap = kept.range - strip.range + 0.5 * (kept_width * kept.slope + strip_width * strip.slope)
-    gap_derivative = motion.of_bodies(crossings.gap_derivative, crossings.body, view)
-    derivative = (
-        kept_width[:, None] * kept.derivative
-        + strip_width[:, None] * strip.derivative
-        + to_gap[:, None] * gap_derivative
-        - layer.total_derivative.movedim(1, -1)[place]
-    )
-    change = _add(layer.total_derivative, place, crossings.sign[:, None] * derivative)
-    if not gained.any():
-        return Layer(total=total, area=area, total_derivative=change)
-    lost = _add(torch.zeros_like(change), place, -gained[:, None] * gap_derivative)
+    sensor = views.sensor
+    ray, to_u, to_v = _pixel_frames(sensor, views.vertices)
+    hits = Facets.of(views.vertices, views.surface.faces).at(face, ray)
+    if sensor.beam > 0:
+        hits = hits.averaged(Spread.of_square(ray), to_u, to_v)
+    hits = hits.between(sensor.near, sensor.far)
+    change = hits.range.new_zeros(views.count, 0, *face.shape[1:])
+    if motion is not None:
+        change = motion.of_images(hits.twist_derivatives(), face)
+    return Layer(total=hits.range, area=(hits.scale != 0).to(hits.range), total_derivative=change)
+
+
+def _pixel_frames(
+    sensor: Sensor, like: Tensor
+) -> tuple[Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Float[Tensor, "h w 3"]]:
+    """The rays of all pixels and how they turn from column to column and from row to row.
+
+    A pixel's area sees the mean of its rays, an ideal ray the middle.
+    """
+    projection = sensor.projection
+    u, v = pixel_grid(projection, dtype=like.dtype, device=like.device)
+    rays, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
+    if sensor.beam > 0 and curves is not None:
+        rays = rays + (curves[0] + curves[2]) / 24.0
+    return rays, *projection.ray_derivatives(u, v)
+
+
+def with_squares(layer: Layer, squares: Squares, sums: Sums) -> Layer:
+    """Puts the integrals of some pixels in the place of those with one face only."""
+    place = (squares.view, squares.v, squares.u)
+    total = layer.total.index_put(place, sums.total.to(layer.total))
+    area = layer.area.index_put(place, sums.area.to(layer.area))
+    change = _put(layer.total_derivative, place, sums.total_derivative)
+    lost = layer.area_derivative
+    if lost is not None or sums.area_derivative.any():
+        lost = torch.zeros_like(change) if lost is None else lost
+        lost = _put(lost, place, sums.area_derivative)
     return Layer(total=total, area=area, total_derivative=change, area_derivative=lost)
 
 
-def _part(
-    face: Tensor,
-    offset: Tensor,
-    crossings: Crossings,
-    facets: Facets,
-    projection: Projection,
-    motion: BodyMotion | None,
-) -> _Part:
-    """The part whose middle is ``offset`` pixels along ``step`` from the pixel's centre."""
-    u, v = (crossings.pixel + offset.detach()[:, None] * crossings.step).unbind(1)
-    hits = facets.at(face, projection.rays(u, v))
-    to_u, to_v = projection.ray_derivatives(u, v)
-    slope = hits.slopes(to_u * crossings.step[:, :1] + to_v * crossings.step[:, 1:]).detach()
-    derivative = slope
-    if motion is not None:
-        derivative = motion.of_faces(hits.twist_derivatives().mT, face, crossings.view)
-    return _Part(
-        range=hits.range + slope * (offset - offset.detach()), slope=slope, derivative=derivative
-    )
-
-
-def _add(image: Tensor, place: tuple[Tensor, ...], values: Tensor) -> Tensor:
-    """Adds values, each with all parameters where the image has them, at places (view, v, u)."""
-    if image.ndim == 3:
-        return image.index_put(place, values, accumulate=True)
-    return image.movedim(1, -1).index_put(place, values, accumulate=True).movedim(-1, 1)
+def _put(image: Tensor, place: tuple[Tensor, ...], values: Tensor) -> Tensor:
+    """Sets values, each with all parameters, at places (view, v, u)."""
+    return image.movedim(1, -1).index_put(place, values.to(image)).movedim(-1, 1)

@@ -3,13 +3,40 @@
 Face ``f`` of view ``k`` is face ``k * faces + f``; vertices, edges and bodies are counted alike.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.model.scene import Surface
+from torchcal.model.sensor import Sensor
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Views:
+    """What one sensor sees from a batch of poses."""
+
+    sensor: Sensor
+    count: int
+    """Views in the batch."""
+    vertices: Float[Tensor, "vertex 3"]
+    """m, each in the sensor's frame of its view."""
+    surface: Surface
+    """The triangles of all views."""
+
+    @property
+    def own_faces(self) -> Int[Tensor, "face 3"]:
+        """The triangles of the first view, of its own vertices."""
+        return self.surface.faces[: len(self.surface.faces) // self.count]
+
+    def exact(self) -> "Views":
+        """In double precision."""
+        return replace(self, vertices=self.vertices.double())
+
+    def still(self) -> "Views":
+        """Without what automatic differentiation traces."""
+        return replace(self, vertices=self.vertices.detach())
 
 
 def soup_of_views(surface: Surface, views: int, bodies: int) -> Surface:

@@ -1,9 +1,8 @@
 """Range synthesis: what the sensor would measure, and its derivative (eq. 2, 17 and 18).
 
-The hard z-buffer says which face a pixel's centre meets, silhouettes shift the share of a pixel
-from one surface to the other, and the beam averages over its box. Range and derivative are closed
-forms of the visible faces' planes and edges, so automatic differentiation through the poses works
-as well. What the range in a pixel's middle leaves out of its mean is z'' / 24.
+The hard z-buffer says which face a pixel's centre meets, pixels that silhouettes cross are shared
+by area (``sharing.py``), and the beam averages over its box. Range and derivative are closed forms
+of the visible faces' planes and edges, so automatic differentiation through the poses works, too.
 """
 
 from dataclasses import dataclass, replace
@@ -12,17 +11,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Sensor
 from torchcal.render.beam import beam_area, box_sum
-from torchcal.render.bends import with_bends
-from torchcal.render.crossings import find_crossings
-from torchcal.render.facets import Facets
-from torchcal.render.layer import Layer, hard_layer, soften
+from torchcal.render.layer import Layer, hard_layer
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
-from torchcal.render.soup import in_soup, soup_of_views
+from torchcal.render.sharing import share_pixels
+from torchcal.render.soup import Views, in_soup, soup_of_views
 from torchcal.render.visibility import visible_faces
 
 MET = 1e-3
@@ -113,36 +109,24 @@ def _views_at_once(surface: Surface, sensor: Sensor) -> int:
 def _synthesise_views(
     surface: Surface, Ts_sensor_body: Tensor, sensor: Sensor, motion: Tensor | None
 ) -> Synthesis:
+    projection = sensor.projection
     vertices = place_vertices(surface, Ts_sensor_body)
-    # Silhouettes just outside the image share its outermost pixels.
-    projection = sensor.projection.widened(1) if sensor.beam > 0 else sensor.projection
     face = visible_faces(vertices, surface.faces, projection)
-    soup = soup_of_views(surface, *Ts_sensor_body.shape[:2])
-    vertices = vertices.flatten(0, 1)
-    facets = Facets.of(vertices, soup.faces)
-    grid = pixel_grid(projection, dtype=vertices.dtype, device=vertices.device)
-    # Faces nearer or farther than the sensor measures give no return.
-    hits = facets.at(in_soup(face, len(surface.faces)), projection.rays(*grid)).between(
-        sensor.near, sensor.far
+    views = Views(
+        sensor=sensor,
+        count=len(vertices),
+        vertices=vertices.flatten(0, 1),
+        surface=soup_of_views(surface, *Ts_sensor_body.shape[:2]),
     )
-    face = face.masked_fill(hits.scale == 0, -1)
     soup_face = in_soup(face, len(surface.faces))
-    moving = None if motion is None else BodyMotion.of(motion, soup)
-    layer = hard = hard_layer(soup_face, hits, moving)
-    if sensor.beam > 0:
-        crossings = find_crossings(vertices, soup, facets, soup_face, projection)
-        layer = soften(hard, crossings, facets, projection, moving)
-        layer = with_bends(layer, hard, soup_face, facets, projection)
-    rows, columns = _inside(projection, sensor.projection)
-    layer, face = layer.crop(rows, columns), face[:, rows, columns]
+    moving = None if motion is None else BodyMotion.of(motion, views.surface)
+    layer = hard_layer(soup_face, views, moving)
+    # Faces nearer or farther than the sensor measures give no return.
+    face = face.masked_fill(layer.area == 0, -1)
+    if sensor.beam > 0 and len(face):
+        layer = share_pixels(layer, soup_face.masked_fill(face < 0, -1), views, moving)
     synthesis = _average(layer, face, max(sensor.beam, 1))
     return synthesis if motion is not None else replace(synthesis, jacobian=None)
-
-
-def _inside(wide: Projection, narrow: Projection) -> tuple[slice, slice]:
-    """The rows and columns of a widened image that are those of the image itself."""
-    top, left = (wide.height - narrow.height) // 2, (wide.width - narrow.width) // 2
-    return slice(top, top + narrow.height), slice(left, left + narrow.width)
 
 
 def _average(layer: Layer, face: Tensor, beam: int) -> Synthesis:

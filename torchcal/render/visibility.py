@@ -25,5 +25,5 @@ def visible_faces(
         faces: Vertices of each triangle; both sides of a face are seen.
         projection: The sensor's optics.
     """
-    module = machine_code_for(vertices, "raster") or zbuffer
+    module = machine_code_for(vertices, "zbuffer") or zbuffer
     return module.visible_faces(vertices.detach(), faces, projection)

@@ -1,4 +1,4 @@
-"""The hard z-buffer by tensor operations, on any device; ``raster.py`` is checked against it.
+"""The hard z-buffer by tensor operations, on any device; machine code is checked against it.
 
 The views of a batch are one soup: face ``f`` of view ``k`` is face ``k * faces + f`` of the soup,
 and so are the vertices and the pixels.
@@ -13,11 +13,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection
-from torchcal.render.boxes import pixel_boxes, tile_cones
+from torchcal.render.boxes import pixel_boxes, tile_cones, tiles_of_points
 from torchcal.render.facets import Facets
+from torchcal.render.soup import Views
+from torchcal.render.squares import TILE, Squares, spread
 
-TILE = 16
-"""Side (pixels) of the tiles that large faces are culled by."""
 DIRECT = 256
 """Faces whose box has at most this many pixels are tested pixel by pixel, without tiles."""
 PAIRS = 1 << 20
@@ -47,6 +47,42 @@ def _seen(vertices: Tensor, faces: Tensor, projection: Projection) -> Tensor:
     for tiles in _tiles_of_boxes(large, box[large], test).split(PAIRS // TILE**2):
         _fill(buffer, test, tiles[:, 0], tiles[:, 1:])
     return torch.where(buffer == EMPTY, -1, (buffer & 0xFFFFFFFF) % max(len(faces), 1))
+
+
+def faces_at_points(
+    views: Views,
+    squares: Squares,
+    square: Int[Tensor, " point"],
+    rays: Float[Tensor, "point 3"],
+) -> Int[Tensor, " point"]:
+    """The face, of the triangles of all views, that the ray of each point meets first.
+
+    Args:
+        views: In double precision.
+        squares: Pixels in which the points are.
+        square: The square of each point, in their order.
+        rays: The points' rays.
+    """
+    projection, faces = views.sensor.projection, views.own_faces
+    vertices = views.vertices.view(views.count, -1, 3)
+    points = tiles_of_points(squares, square, projection, views.count)
+    buffer = torch.full(square.shape, EMPTY, dtype=torch.int64, device=rays.device)
+    box = pixel_boxes(vertices, faces, projection).long().flatten(0, 1)
+    # Points are off the centres of their pixels.
+    box = torch.cat([box[:, :2] - 1, box[:, 2:] + 1], -1)
+    test = _FaceTest.of(vertices, faces, projection)
+    for item, u, v in _tiles_of_faces(box, projection):
+        view = item // test.faces_of_view
+        axis, sine = _wide_cones(u, v, test)
+        first, count = points[view, v, u, 0], points[view, v, u, 1]
+        near = torch.nonzero((count > 0) & test.may_touch(item, axis, sine))[:, 0]
+        for part in _parts(count[near]):
+            pair = near[part]
+            entry, order = spread(count[pair])
+            point = first[pair][entry] + order
+            _enter(buffer, test, item[pair][entry], point, rays[point])
+    face = (buffer & 0xFFFFFFFF) % max(len(faces), 1) + len(faces) * squares.view[square]
+    return torch.where(buffer == EMPTY, -1, face)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -102,27 +138,47 @@ def _tiles_of_boxes(face: Tensor, box: Tensor, test: _FaceTest) -> Tensor:
     return torch.cat([face[item, None], low, high], -1)[keep]
 
 
+def _tiles_of_faces(box: Tensor, projection: Projection) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """All pairs of a face and a tile (item, column, row) that its box touches, part by part."""
+    size = torch.tensor([projection.width, projection.height], device=box.device)
+    tiles = (size + TILE - 1) // TILE
+    first = (box[:, :2].clamp(min=0) // TILE).minimum(tiles)
+    last = ((box[:, 2:] + TILE - 1) // TILE).minimum(tiles).maximum(first)
+    for part in _parts((last - first).prod(-1)):
+        item, u, v = _cells(first[part], last[part])
+        yield item + part.start, u, v
+
+
+def _wide_cones(u: Tensor, v: Tensor, test: _FaceTest) -> tuple[Tensor, Tensor]:
+    """The cones about all points of tiles, up to the borders of their pixels."""
+    low = torch.stack([u, v], -1) * TILE
+    return tile_cones(low - 1, low + TILE + 1, test.projection, test.edge)
+
+
 def _fill(buffer: Tensor, test: _FaceTest, face: Tensor, box: Tensor) -> None:
     """Enters the faces into the z-buffer at all pixels of their boxes."""
     for part in _parts((box[:, 2:] - box[:, :2]).prod(-1)):
         item, u, v = _cells(box[part, :2], box[part, 2:])
         index = face[part][item]
         rays = test.projection.rays(u.to(test.edge), v.to(test.edge))
-        t = test.ranges(index, rays)
-        met = t.isfinite()
-        # Positive floats sort like their bits: one number holds the range and, for ties, the face.
-        key = (t[met].float().view(torch.int32).long() << 32) | index[met]
         row = (index // test.faces_of_view) * test.projection.height + v
-        pixel = (row * test.projection.width + u)[met]
-        buffer.view(-1).scatter_reduce_(0, pixel, key, "amin")
+        _enter(buffer.view(-1), test, index, row * test.projection.width + u, rays)
+
+
+def _enter(buffer: Tensor, test: _FaceTest, face: Tensor, place: Tensor, rays: Tensor) -> None:
+    """Enters faces into the z-buffer at single places."""
+    t = test.ranges(face, rays)
+    met = t.isfinite()
+    # Positive floats sort like their bits: one number holds the range and, for ties, the face.
+    key = (t[met].float().view(torch.int32).long() << 32) | face[met]
+    buffer.scatter_reduce_(0, place[met], key, "amin")
 
 
 def _cells(first: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """All cells (item, column, row) of boxes from ``first`` to before ``last``."""
     extent = last - first
     count = extent.prod(-1)
-    item = torch.repeat_interleave(count)
-    order = torch.arange(len(item), device=count.device) - (count.cumsum(0) - count)[item]
+    item, order = spread(count)
     columns = extent[item, 0]
     return item, first[item, 0] + order % columns, first[item, 1] + order // columns
 
