@@ -21,7 +21,7 @@ from torchcal.demo.labelled_parts import part_scores
 from torchcal.demo.visible_edges import visible_edges
 from torchcal.geometry.projection import Pinhole
 from torchcal.match.features import LineKind
-from torchcal.match.image_features import image_features
+from torchcal.match.image.features import image_features
 from torchcal.model.sensor import Noise, Sensor
 
 FOCAL = 256 / math.tan(math.radians(25.0))

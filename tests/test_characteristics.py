@@ -13,7 +13,7 @@ from torchcal.geometry import se3
 from torchcal.match.characteristics import all_elements, find_candidates
 from torchcal.match.elements import Elements, Kind
 from torchcal.match.features import Features, LineKind, Lines, Planes, Vertices
-from torchcal.match.model_features import find_model_features
+from torchcal.match.model.features import find_model_features
 from torchcal.match.prior_gate import Prior
 from torchcal.match.wholes import whole_areas, whole_lengths
 

@@ -11,8 +11,8 @@ import trimesh
 from torchcal.demo import raycast
 from torchcal.geometry.projection import Pinhole, Spherical
 from torchcal.match.features import LineKind
-from torchcal.match.image_features import image_features, image_labels
-from torchcal.match.image_strips import beam_share
+from torchcal.match.image.features import image_features, image_labels
+from torchcal.match.image.strips import beam_share
 from torchcal.model.sensor import Noise, Sensor
 
 FOCAL = 128 / math.tan(math.radians(25.0))

@@ -12,8 +12,8 @@ from scenes import at_rest, ball, box, sheet, surface_of
 from torchcal.demo.machine_hall import machine_hall
 from torchcal.geometry import se3
 from torchcal.match.features import LineKind
-from torchcal.match.model_features import ModelFeatures, find_model_features
-from torchcal.match.tolerances import Tolerances
+from torchcal.match.model.features import ModelFeatures, find_model_features
+from torchcal.match.model.tolerances import Tolerances
 from torchcal.model.scene import body_poses, build_scene
 
 RIGHT = math.pi / 2

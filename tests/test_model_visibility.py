@@ -10,10 +10,10 @@ from scenes import at_rest, box, sheet, surface_of, turned, wall
 
 from torchcal.demo import raycast
 from torchcal.geometry.projection import Pinhole, Projection, Spherical, pixel_grid
-from torchcal.match.expected import expected_features
 from torchcal.match.features import LineKind
-from torchcal.match.model_features import ModelFeatures, find_model_features
-from torchcal.match.model_visibility import INVISIBLE, Seen, visible
+from torchcal.match.model.expected import expected_features
+from torchcal.match.model.features import ModelFeatures, find_model_features
+from torchcal.match.model.visibility import INVISIBLE, Seen, visible
 
 CAMERA = Pinhole(width=200, height=160, fx=200.0, fy=200.0, cx=99.5, cy=79.5)
 LIDAR = Spherical(width=200, height=160, azimuth=(-0.5, 0.5), elevation=(0.4, -0.4))

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from torchcal.geometry.projection import Pinhole
-from torchcal.match.image_features import image_labels
+from torchcal.match.image.features import image_labels
 from torchcal.model.sensor import Noise, Sensor
 
 CAMERA = Sensor(

@@ -9,8 +9,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from torchcal.match.features import LineKind
-from torchcal.match.mesh_regions import Mesh, Regions
-from torchcal.match.tolerances import Tolerances
+from torchcal.match.model.regions import Mesh, Regions
+from torchcal.match.model.tolerances import Tolerances
 
 LONG = 4.0
 """Square of the length over the area of a long facet: 1 for a square, 2.3 for a triangle."""

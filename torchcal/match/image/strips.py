@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from torchcal.match.image_windows import Image
+from torchcal.match.image.windows import Image
 
 MOST = 2500
 """Pixels of a strip that are used."""

@@ -8,7 +8,7 @@ from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from torchcal.match.tolerances import Tolerances
+from torchcal.match.model.tolerances import Tolerances
 
 DOMINANT = 4.0
 """A flat part of a curved surface has neighbours that are at least this share of its area."""

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Planes
-from torchcal.match.image_labels import Planar
-from torchcal.match.image_windows import Image
+from torchcal.match.image.labels import Planar
+from torchcal.match.image.windows import Image
 
 BORDER = 0.5
 """Pixels by which the border of a region may be off."""

@@ -9,8 +9,8 @@ from numpy import ndarray
 from scipy import ndimage
 from torch import Tensor
 
-from torchcal.match.image_growth import Regions
-from torchcal.match.image_windows import Image, Windows
+from torchcal.match.image.growth import Regions
+from torchcal.match.image.windows import Image, Windows
 
 SMOOTHING = 5
 """Side in pixels of the mean that is compared with the planes, at the least."""

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy import ndimage
 
-from torchcal.match.image_windows import Image
+from torchcal.match.image.windows import Image
 
 SCALE = 0.22
 """Standard deviation of the smoothing, in sides of the beam; at least one pixel and a quarter."""

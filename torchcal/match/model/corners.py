@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import KDTree
 
-from torchcal.match.mesh_lines import Segments
+from torchcal.match.model.edges import Segments
 
 MOST_LINES = 5
 """That may meet in a point: more are the tip of a cone, and no three of them tell it."""

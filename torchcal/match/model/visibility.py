@@ -12,8 +12,8 @@ from torch import Tensor
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.match.features import LineKind, Lines
-from torchcal.match.line_places import BESIDE, Places, places_along
-from torchcal.match.model_features import ModelFeatures
+from torchcal.match.model.features import ModelFeatures
+from torchcal.match.model.line_places import BESIDE, Places, places_along
 
 GAP = 4
 """Places in a row that are not seen part a line into pieces."""

@@ -9,8 +9,8 @@ from numpy import ndarray
 from scipy import ndimage
 
 from torchcal.match.features import LineKind
-from torchcal.match.image_labels import Planar
-from torchcal.match.image_windows import Image
+from torchcal.match.image.labels import Planar
+from torchcal.match.image.windows import Image
 
 NEAR = 5.0
 """Pixels between the border of two planes in the image and the crease of both."""

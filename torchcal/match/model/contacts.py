@@ -11,10 +11,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from torchcal.match.features import LineKind
-from torchcal.match.mesh_lines import Segments
-from torchcal.match.mesh_regions import Regions
-from torchcal.match.outlines import Borders
-from torchcal.match.tolerances import Tolerances
+from torchcal.match.model.edges import Segments
+from torchcal.match.model.outlines import Borders
+from torchcal.match.model.regions import Regions
+from torchcal.match.model.tolerances import Tolerances
 
 
 def find_contacts(

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Features, Lines, Planes, Vertices
-from torchcal.match.model_features import ModelFeatures
-from torchcal.match.model_visibility import Seen
+from torchcal.match.model.features import ModelFeatures
+from torchcal.match.model.visibility import Seen
 
 Part = TypeVar("Part", Planes, Lines, Vertices)
 

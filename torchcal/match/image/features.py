@@ -7,14 +7,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.match.features import Features
-from torchcal.match.image_creases import Found
-from torchcal.match.image_growth import grow_regions
-from torchcal.match.image_jumps import blurred_by
-from torchcal.match.image_labels import Planar, label_pixels
-from torchcal.match.image_lines import image_jumps, image_lines
-from torchcal.match.image_planes import image_planes
-from torchcal.match.image_vertices import image_vertices
-from torchcal.match.image_windows import Image, fit_windows, prepared
+from torchcal.match.image.creases import Found
+from torchcal.match.image.growth import grow_regions
+from torchcal.match.image.jumps import blurred_by
+from torchcal.match.image.labels import Planar, label_pixels
+from torchcal.match.image.lines import image_jumps, image_lines
+from torchcal.match.image.planes import image_planes
+from torchcal.match.image.vertices import image_vertices
+from torchcal.match.image.windows import Image, fit_windows, prepared
 from torchcal.model.sensor import Sensor
 
 STRIDE = 4

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy import ndimage, stats
 
-from torchcal.match.image_windows import Windows
+from torchcal.match.image.windows import Windows
 
 AGREE = 3.5 * float(stats.chi2.ppf(0.999, 3))
 """A window whose m differs from a plane's by less, as chi-square, may be a part of it."""

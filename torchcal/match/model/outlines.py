@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from torchcal.match.mesh_regions import Mesh, Regions
+from torchcal.match.model.regions import Mesh, Regions
 
 Borders = tuple[Float[ndarray, "_ 2 3"], ...]
 """The border segments (m) of each region, in the sense of its triangles and in no order."""

@@ -9,11 +9,11 @@ from numpy import ndarray
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines
-from torchcal.match.image_creases import Found, found_creases, straight_borders
-from torchcal.match.image_edges import jump_segments
-from torchcal.match.image_jumps import jumps
-from torchcal.match.image_labels import Planar
-from torchcal.match.image_windows import Image
+from torchcal.match.image.creases import Found, found_creases, straight_borders
+from torchcal.match.image.edges import jump_segments
+from torchcal.match.image.jumps import jumps
+from torchcal.match.image.labels import Planar
+from torchcal.match.image.windows import Image
 
 SHORTEST = 34.0
 """Pixels."""

@@ -9,14 +9,14 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 
-from torchcal.match.contacts import find_contacts, without_buried
-from torchcal.match.corners import Corners, find_corners, with_ends_at
 from torchcal.match.elements import Elements
 from torchcal.match.features import Features, Lines, Planes, Vertices
-from torchcal.match.mesh_lines import Segments, find_creases, find_limbs
-from torchcal.match.mesh_regions import Mesh, Regions, find_regions
-from torchcal.match.outlines import Borders, find_borders, outline
-from torchcal.match.tolerances import Tolerances
+from torchcal.match.model.contacts import find_contacts, without_buried
+from torchcal.match.model.corners import Corners, find_corners, with_ends_at
+from torchcal.match.model.edges import Segments, find_creases, find_limbs
+from torchcal.match.model.outlines import Borders, find_borders, outline
+from torchcal.match.model.regions import Mesh, Regions, find_regions
+from torchcal.match.model.tolerances import Tolerances
 from torchcal.model.scene import Surface
 
 APART = 0.25

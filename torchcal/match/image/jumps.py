@@ -5,9 +5,9 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from torchcal.match.features import LineKind
-from torchcal.match.image_creases import Found
-from torchcal.match.image_strips import Strip, central_ray, fit_strip
-from torchcal.match.image_windows import Image
+from torchcal.match.image.creases import Found
+from torchcal.match.image.strips import Strip, central_ray, fit_strip
+from torchcal.match.image.windows import Image
 
 SURE = 5.0
 """Standard deviations of a jump that is no accident."""
