@@ -29,7 +29,7 @@ HALVED = 2
 """Visibility is looked up in an image of half the size."""
 PER_ELEMENT = 4
 """Most candidates for each measured element."""
-SEARCH = ElementSearch(restarts=0, enough=0.2, sets=1500)
+SEARCH = ElementSearch(restarts=0, enough=0.2, sets=200)
 """Views show much that is no element of the model, and extraction is not perfect."""
 
 
@@ -86,9 +86,7 @@ def _pose(found: ElementPoses) -> StagePose | None:
     )
 
 
-def _matches(
-    model: Features, measured: Features, matrix: Tensor, found: ElementPoses
-) -> Matches:
+def _matches(model: Features, measured: Features, matrix: Tensor, found: ElementPoses) -> Matches:
     """Pairs that keep a weight are used; candidates of elements without one are not."""
     kept = (found.weights > 0).any(-1)
     rows = kept.nonzero()[:, 0]

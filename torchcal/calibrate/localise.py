@@ -1,20 +1,19 @@
 """The pose of a sensor from one range image, with and without a starting value (3.1, 4.2)."""
 
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchcal.calibrate.element_stage import ElementFit, element_fit
+from torchcal.calibrate.clock import Clock
+from torchcal.calibrate.element_stage import element_fit
 from torchcal.calibrate.localisation import Localisation, Rival, StagePose
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
 from torchcal.calibrate.one_view import OneView, as_states, free_sensor
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.pixel_stage import PixelFit, block_fit, pixel_fit
+from torchcal.calibrate.pixel_stage import PixelFit, block_fit, pixel_fit, refined
 from torchcal.calibrate.result import Status
 from torchcal.calibrate.site import Site
 from torchcal.calibrate.whereabouts import (
@@ -24,7 +23,8 @@ from torchcal.calibrate.whereabouts import (
     poses_about,
     poses_anywhere,
 )
-from torchcal.match.features import Features
+from torchcal.geometry import se3
+from torchcal.match.features import Planes
 from torchcal.match.image.features import image_features
 from torchcal.match.prior_gate import Prior
 from torchcal.model.sensor import Sensor
@@ -54,7 +54,7 @@ def localise(
     mask: Bool[Tensor, "h w"] | None = None,
     generator: torch.Generator,
 ) -> Localisation:
-    """Finds where a range image was taken.
+    """Finds where a range image was taken, from its elements and from every pixel.
 
     Args:
         range_image: Depth or distance (m), as the projection has it; NaN where nothing was
@@ -67,32 +67,67 @@ def localise(
         generator: Draws poses and samples; on the CPU.
 
     Returns:
-        The poses of the elements and of all pixels. A wrong pose is not called converged: what
+        The poses of both stages and what they rest on. A wrong pose is not called converged: what
         explains the image no better than another pose is ambiguous, and what explains it badly
         has failed.
     """
-    clock = _Clock()
-    view = OneView.of(range_image, sensor, mask)
+    clock = Clock()
     with clock.measured("elements of the image"):
         measured = image_features(range_image.double(), sensor, mask)
-    prior = start or _anywhere(site)
-    parameters = free_sensor(prior, site.Ts_world_body)
+    view = OneView.of(range_image, sensor, mask)
+    found = _found(view, site, measured.planes, start, generator, clock)
+    if found.pixels is None:
+        return found
     with clock.measured("pose from elements"):
-        elements = None if start is None else element_fit(site, sensor, measured, start, generator)
-    with clock.measured("coarse search"):
-        poses = _first_poses(site, view, measured, start, elements, generator)
-        found = judged(site, view, parameters, poses) if _is_any(view, poses) else None
-    if found is None:
-        return _nothing(elements, clock)
-    with clock.measured("every pixel"):
-        fit = pixel_fit(site, view, parameters, found.Ts_world_sensor[0])
+        about = _prior(found.pixels.T_world_sensor, *ABOUT)
+        elements = element_fit(site, sensor, measured, about, generator)
+    return replace(
+        found, elements=elements.pose, matches=elements.matches, seconds=dict(clock.seconds)
+    )
+
+
+def localise_pixels(
+    range_image: Float[Tensor, "h w"],
+    site: Site,
+    sensor: Sensor,
+    *,
+    start: Prior,
+    mask: Bool[Tensor, "h w"] | None = None,
+    generator: torch.Generator,
+) -> Localisation:
+    """The same from a starting value and without elements, in a fraction of the time.
+
+    The arguments are those of ``localise``.
+    """
+    view = OneView.of(range_image, sensor, mask)
+    return _found(view, site, None, start, generator, Clock())
+
+
+def _found(
+    view: OneView,
+    site: Site,
+    planes: Planes | None,
+    start: Prior | None,
+    generator: torch.Generator,
+    clock: Clock,
+) -> Localisation:
+    """The pose from every pixel, its rivals and its status."""
+    parameters = free_sensor(start or _anywhere(site), site.Ts_world_body)
+    best = None
+    for poses in _first_poses(site, view, planes, start, generator):
+        with clock.measured("coarse search"):
+            found = judged(site, view, parameters, poses)
+        with clock.measured("every pixel"):
+            fit = pixel_fit(site, view, parameters, found.Ts_world_sensor[0])
+        if best is None or fit.agreement > best[1].agreement:
+            best = found, fit
+        if fit.agreement >= EXPLAINED:
+            break
+    if best is None:
+        return _nothing(clock)
     with clock.measured("rivals"):
-        rivals = _rivals(site, view, parameters, found, fit)
-    if elements is None:
-        with clock.measured("pose from elements"):
-            about = _prior(fit.T_world_sensor, *ABOUT)
-            elements = element_fit(site, sensor, measured, about, generator)
-    return _concluded(parameters, start, elements, fit, found, rivals, clock)
+        rivals = _rivals(site, view, parameters, *best)
+    return _concluded(parameters, start, *best, rivals, clock)
 
 
 def _anywhere(site: Site) -> Prior:
@@ -110,21 +145,26 @@ def _prior(T_world_sensor: Tensor, position: float, rotation: float) -> Prior:
 def _first_poses(
     site: Site,
     view: OneView,
-    measured: Features,
+    planes: Planes | None,
     start: Prior | None,
-    elements: ElementFit | None,
     generator: torch.Generator,
-) -> Float[Tensor, "pose 4 4"]:
-    if start is None:
-        return poses_anywhere(site, view, measured.planes)
-    poses = poses_about(start, generator)
-    if elements is None or elements.pose is None:
-        return poses
-    return torch.cat([elements.pose.T_world_sensor[None], poses])
+) -> Iterator[Float[Tensor, "pose 4 4"]]:
+    """About the start first, then, as the last resort with a start, all that planes suggest."""
+    if not view.coarse.measured.any():
+        return
+    if start is not None:
+        yield poses_about(start, generator)
+    poses = site.Ts_world_body[:0] if planes is None else poses_anywhere(site, view, planes)
+    if start is not None:
+        poses = poses[_is_near(poses, start)]
+    if len(poses):
+        yield poses
 
 
-def _is_any(view: OneView, poses: Tensor) -> bool:
-    return len(poses) > 0 and bool(view.fine.measured.any())
+def _is_near(poses: Float[Tensor, "pose 4 4"], start: Prior) -> Bool[Tensor, " pose"]:
+    """Which poses do not contradict a starting value."""
+    xi = se3.log(se3.inverse(start.T_world_sensor) @ poses)
+    return (xi.abs() <= FARTHEST * start.covariance.diagonal().sqrt()).all(-1)
 
 
 def _rivals(
@@ -135,41 +175,38 @@ def _rivals(
     close[0] = False
     if not close.any():
         return ()
-    blocks = block_fit(site, view, parameters)
-    best = float(blocks.evaluate(as_states(fit.T_world_sensor)[None]).cost)
-    rivals: list[Rival] = []
-    for T in found.Ts_world_sensor[close]:
-        other = pixel_fit(site, view, parameters, T)
-        cost = float(blocks.evaluate(as_states(other.T_world_sensor)[None]).cost)
-        known = [fit.T_world_sensor, *(rival.T_world_sensor for rival in rivals)]
-        is_new = all(are_apart(other.T_world_sensor, each) for each in known)
-        if is_new and cost - best <= max(DECISIVE, RIVAL * best):
-            pixels = max(1, int(blocks.observation.measured.sum()))
-            rivals.append(Rival(T_world_sensor=other.T_world_sensor, score=cost / pixels))
+    poses = torch.cat([fit.T_world_sensor[None], found.Ts_world_sensor[close]])
+    solution = refined(block_fit(site, view, parameters), as_states(poses))
+    cost, state = solution.equations.cost, solution.state[:, 0]
+    allowed = cost[0] + max(DECISIVE, RIVAL * float(cost[0]))
+    known, rivals = [state[0]], []
+    for T, other in zip(state[1:], cost[1:], strict=True):
+        if other <= allowed and all(are_apart(T, each) for each in known):
+            known.append(T)
+            rivals.append(Rival(T_world_sensor=T, score=float(other / cost[0] * found.cost[0])))
     return tuple(rivals)
 
 
 def _concluded(
     parameters: Parameters,
     start: Prior | None,
-    elements: ElementFit,
-    fit: PixelFit,
     found: Whereabouts,
+    fit: PixelFit,
     rivals: tuple[Rival, ...],
-    clock: "_Clock",
+    clock: Clock,
 ) -> Localisation:
     status = _status(parameters, start, fit, rivals)
     told = fit.covariance.isfinite().all()
     return Localisation(
         status=status,
         message=_message(status, len(rivals)),
-        elements=elements.pose,
+        elements=None,
         pixels=StagePose(T_world_sensor=fit.T_world_sensor, covariance=fit.covariance),
         agreement=fit.agreement,
         score=float(found.cost[0]),
         rivals=rivals,
         unobservable=unobservable_directions(fit.covariance, parameters) if told else (),
-        matches=elements.matches,
+        matches=None,
         seconds=clock.seconds,
     )
 
@@ -188,17 +225,17 @@ def _status(
     return Status.AMBIGUOUS if rivals else Status.CONVERGED
 
 
-def _nothing(elements: ElementFit | None, clock: "_Clock") -> Localisation:
+def _nothing(clock: Clock) -> Localisation:
     return Localisation(
         status=Status.FAILED,
         message=_message(Status.FAILED, 0),
-        elements=None if elements is None else elements.pose,
+        elements=None,
         pixels=None,
         agreement=0.0,
         score=float("inf"),
         rivals=(),
         unobservable=(),
-        matches=None if elements is None else elements.matches,
+        matches=None,
         seconds=clock.seconds,
     )
 
@@ -211,14 +248,3 @@ def _message(status: Status, rivals: int) -> str:
         Status.UNOBSERVABLE: "The image leaves the sensor's pose open in some direction.",
         Status.FAILED: "No pose was found that explains the image.",
     }[status]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Clock:
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def measured(self, stage: str) -> Iterator[None]:
-        begin = time.perf_counter()
-        yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin

@@ -90,11 +90,10 @@ def as_states(T_world_sensor: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*ba
     return torch.stack([T_world_sensor, eye], -3)
 
 
-def drawn_about(
-    prior: Prior, count: int, generator: torch.Generator
-) -> Float[Tensor, "count 4 4"]:
+def drawn_about(prior: Prior, count: int, generator: torch.Generator) -> Float[Tensor, "count 4 4"]:
     """The prior's pose and draws from it."""
-    root = torch.linalg.cholesky(prior.covariance)
+    root, failed = torch.linalg.cholesky_ex(prior.covariance)
+    root = torch.where(failed > 0, prior.covariance.diagonal().clamp(min=0.0).sqrt().diag(), root)
     steps = torch.randn(count, 6, generator=generator, dtype=torch.float64).to(root) @ root.mT
     steps[0] = 0.0
     return prior.T_world_sensor @ se3.exp(steps)

@@ -54,7 +54,7 @@ def pixel_fit(
         T_world_sensor: Where to start: within about a block of pixels.
     """
     blocks = block_fit(site, view, parameters)
-    coarse = _fitted(blocks, as_states(T_world_sensor)[None], COARSE)
+    coarse = refined(blocks, as_states(T_world_sensor)[None])
     fit = replace(blocks, observation=view.observation)
     if view.observation.sensor.noise.drift is None:
         fit = with_noise(fit, coarse.state[0], 1)
@@ -78,6 +78,11 @@ def block_fit(site: Site, view: OneView, parameters: Parameters) -> RangeFit:
         cutoff=robust.EFFICIENT,
         drift=None,
     )
+
+
+def refined(fit: RangeFit, states: Float[Tensor, "state 2 4 4"]) -> Solution:
+    """Where the states end that start within about a block of pixels of their minima."""
+    return _fitted(fit, states, COARSE)
 
 
 def agreement(fit: RangeFit, state: Float[Tensor, "2 4 4"]) -> float:

@@ -56,9 +56,7 @@ class Whereabouts:
     """Robust cost per measured pixel of the fine rays."""
 
 
-def poses_anywhere(
-    site: Site, view: OneView, planes: Planes
-) -> Float[Tensor, "pose 4 4"]:
+def poses_anywhere(site: Site, view: OneView, planes: Planes) -> Float[Tensor, "pose 4 4"]:
     """Poses at which many measured points lie on the model, the best first.
 
     Args:
