@@ -79,7 +79,7 @@ def localise(
     if found.pixels is None:
         return found
     with clock.measured("pose from elements"):
-        about = _prior(found.pixels.T_world_sensor, *ABOUT)
+        about = Prior(T_world_sensor=found.pixels.T_world_sensor, covariance=_about(site))
         elements = element_fit(site, sensor, measured, about, generator)
     return replace(
         found, elements=elements.pose, matches=elements.matches, seconds=dict(clock.seconds)
@@ -112,7 +112,7 @@ def _found(
     clock: Clock,
 ) -> Localisation:
     """The pose from every pixel, its rivals and its status."""
-    parameters = free_sensor(start or _anywhere(site), site.Ts_world_body)
+    parameters = free_sensor(start or site.middle, site.Ts_world_body)
     best = None
     for poses in _first_poses(site, view, planes, start, generator):
         with clock.measured("coarse search"):
@@ -130,16 +130,9 @@ def _found(
     return _concluded(parameters, start, *best, rivals, clock)
 
 
-def _anywhere(site: Site) -> Prior:
-    """No more than that the sensor is about the site."""
-    middle = torch.eye(4).to(site.low)
-    middle[:3, 3] = 0.5 * (site.low + site.high)
-    return _prior(middle, float((site.high - site.low).norm()), torch.pi)
-
-
-def _prior(T_world_sensor: Tensor, position: float, rotation: float) -> Prior:
-    sigma = torch.tensor([position] * 3 + [rotation] * 3).to(T_world_sensor)
-    return Prior(T_world_sensor=T_world_sensor, covariance=torch.diag(sigma.square()))
+def _about(site: Site) -> Float[Tensor, "6 6"]:
+    position, rotation = ABOUT
+    return torch.diag(torch.tensor([position] * 3 + [rotation] * 3).to(site.low).square())
 
 
 def _first_poses(

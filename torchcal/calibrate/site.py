@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchcal.match.directions import Directions
 from torchcal.match.model.features import ModelFeatures, find_model_features
+from torchcal.match.prior_gate import Prior
 from torchcal.match.volume import Volume
 from torchcal.model.scene import Surface
 
@@ -29,6 +30,15 @@ class Site:
     low: Float[Tensor, "3"]
     """m: the least coordinates of the model, in the world."""
     high: Float[Tensor, "3"]
+
+    @property
+    def middle(self) -> Prior:
+        """No more than that the sensor is about the site."""
+        T = torch.eye(4).to(self.low)
+        T[:3, 3] = 0.5 * (self.low + self.high)
+        extent = float((self.high - self.low).norm())
+        sigma = torch.tensor([extent] * 3 + [torch.pi] * 3).to(T)
+        return Prior(T_world_sensor=T, covariance=torch.diag(sigma.square()))
 
     @staticmethod
     def of(

@@ -99,7 +99,7 @@ def peaks(
     highest = functional.max_pool3d(around, 3, stride=1)[0, 0]
     alone = torch.where(scores >= highest, scores, -torch.inf).flatten()
     best = alone.topk(min(count, alone.numel()))
-    x, y, z = scores.shape
+    _, y, z = scores.shape
     index = torch.stack([best.indices // (y * z), best.indices // z % y, best.indices % z], -1)
     return best.values, index.to(scores)
 
