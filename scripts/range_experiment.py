@@ -20,9 +20,9 @@ from torch import Tensor
 import torchcal
 from torchcal.demo import range_trials
 from torchcal.demo.machine_hall import machine_hall
-from torchcal.demo.match_score import right_matches
 from torchcal.display.edges import edges_figure
 from torchcal.geometry import se3
+from torchcal.match.one_place import in_one_place
 
 FOUND = 0.1
 """m and rad within which a pose counts as found."""
@@ -168,7 +168,8 @@ def counts(setting: Setting, found: torchcal.Localisation, truth: Tensor) -> dic
     matches = found.matches
     if matches is None:
         return {}
-    right = right_matches(matches, truth, setting.sensor.projection)
+    same = in_one_place(matches.model, matches.measured, truth, setting.sensor.projection)
+    right = same[matches.pairs[:, 0], matches.pairs[:, 1]]
     planes = matches.measured.planes.elements.count
     lines = len(matches.measured.lines.kind)
     own = matches.pairs[:, 1]

@@ -17,6 +17,7 @@ from torchcal.match.detection import nearest_candidate
 from torchcal.match.features import Features
 from torchcal.match.model.expected import expected_features
 from torchcal.match.model.visibility import visible
+from torchcal.match.one_place import in_one_place
 from torchcal.match.prior_gate import Prior
 from torchcal.model.sensor import Sensor
 from torchcal.render.synthesis import synthesise
@@ -27,8 +28,6 @@ LEAST_JUMP = 0.1
 """m: a smaller step of the range is no line."""
 HALVED = 2
 """Visibility is looked up in an image of half the size."""
-PER_ELEMENT = 4
-"""Most candidates for each measured element."""
 SEARCH = ElementSearch(restarts=0, enough=0.2, sets=200)
 """Views show much that is no element of the model, and extraction is not perfect."""
 
@@ -56,13 +55,21 @@ def element_fit(
     model = _expected(site, sensor, start.T_world_sensor)
     candidates = find_candidates(model, measured, prior=start)
     own, others = all_elements(model), all_elements(measured)
-    matrix = candidates.likeliest(PER_ELEMENT)
+    same = in_one_place(model, measured, start.T_world_sensor, sensor.projection)
+    matrix = replace(
+        candidates,
+        matrix=candidates.matrix & same,
+        log_likelihood=candidates.log_likelihood.masked_fill(~same, -torch.inf),
+    ).likeliest(1)
     if not matrix.any():
         return ElementFit(pose=None, matches=_unmatched(model, measured))
     found = find_element_poses(
         own, others, matrix, generator=generator, search=SEARCH, detect=nearest_candidate
     )
-    return ElementFit(pose=_pose(found), matches=_matches(model, measured, matrix, found))
+    return ElementFit(
+        pose=_pose(found),
+        matches=_matches(model, measured, matrix, found, int(candidates.matrix.sum())),
+    )
 
 
 def _expected(site: Site, sensor: Sensor, T_world_sensor: Float[Tensor, "4 4"]) -> Features:
@@ -86,23 +93,21 @@ def _pose(found: ElementPoses) -> StagePose | None:
     )
 
 
-def _matches(model: Features, measured: Features, matrix: Tensor, found: ElementPoses) -> Matches:
-    """Pairs that keep a weight are used; candidates of elements without one are not."""
-    kept = (found.weights > 0).any(-1)
-    rows = kept.nonzero()[:, 0]
-    used = torch.stack([rows, found.partner[rows]], 1)
-    loose = matrix.clone()
-    loose[rows] = False
-    loose[:, used[:, 1]] = False
-    pairs = torch.cat([used, loose.nonzero()])
+def _matches(
+    model: Features, measured: Features, matrix: Tensor, found: ElementPoses, candidates: int
+) -> Matches:
+    """Pairs that keep a weight are used, the others were found wrong."""
+    own, others = matrix.nonzero(as_tuple=True)
+    kept = (found.weights > 0).any(-1)[own] & (found.partner[own] == others)
+    pairs = torch.stack([own, others], 1)
     return Matches(
         model=model,
         measured=measured,
         pairs=pairs,
-        used=torch.arange(len(pairs), device=pairs.device) < len(used),
+        used=kept,
         model_alone=_without(pairs[:, 0], matrix.shape[0]),
         measured_alone=_without(pairs[:, 1], matrix.shape[1]),
-        candidates=int(matrix.sum()),
+        candidates=candidates,
     )
 
 

@@ -1,4 +1,7 @@
-"""Which matches of model and image are right, by the true pose (4.2)."""
+"""Which elements of model and image are in one place, seen from a pose.
+
+A jump edge is sure across the line of sight and hardly along it: lines are compared in the image.
+"""
 
 import math
 
@@ -6,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchcal.calibrate.localisation import Matches
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Projection
 from torchcal.match.features import Features
@@ -21,25 +23,27 @@ NEAR = 0.1
 """m: most between vertexes."""
 
 
-def right_matches(
-    matches: Matches, T_world_sensor: Float[Tensor, "4 4"], projection: Projection
-) -> Bool[Tensor, " pair"]:
-    """Whether the elements of each pair are in one place if the sensor is where it truly is.
+def in_one_place(
+    model: Features,
+    measured: Features,
+    T_world_sensor: Float[Tensor, "4 4"],
+    projection: Projection,
+) -> Bool[Tensor, "model measured"]:
+    """Pairs of elements that lie on each other; planes first, then lines, then vertexes.
 
     Args:
-        matches: Pairs of elements.
-        T_world_sensor: The true pose.
+        model: In the world's frame.
+        measured: In the sensor's frame.
+        T_world_sensor: The pose to look from.
         projection: The sensor's optics.
     """
     T = se3.inverse(T_world_sensor)
-    model, measured = matches.model, matches.measured
-    blocks = [
+    blocks = (
         _same_planes(model, measured, T),
         _same_lines(model, measured, T, projection),
         _same_vertices(model, measured, T),
-    ]
-    table = torch.block_diag(*(block.double() for block in blocks)) > 0
-    return table[matches.pairs[:, 0], matches.pairs[:, 1]]
+    )
+    return torch.block_diag(*(block.double() for block in blocks)) > 0
 
 
 def _same_planes(model: Features, measured: Features, T: Tensor) -> Tensor:
