@@ -56,6 +56,7 @@ from torchcal.model.sensor import Noise as Noise
 from torchcal.model.sensor import Sensor as Sensor
 from torchcal.model.urdf import write_urdf as write_urdf
 from torchcal.model.world import World as World
+from torchcal.model.world import WorldObject as WorldObject
 from torchcal.model.world import load_world as load_world
 from torchcal.model.world import write_world as write_world
 from torchcal.render.synthesis import Synthesis as Synthesis

@@ -16,6 +16,7 @@ from torchcal.demo import range_trials
 from torchcal.demo.machine_hall import machine_hall
 from torchcal.demo.range_trials import RangeTrial
 
+from .own import torchcal_all, torchcal_pixels
 from .registration import Localise, Prepare, open3d_features, open3d_icp, small_gicp
 from .table import REPORT, Row, Timed, missing, table, timed, versions, write_section
 
@@ -26,10 +27,15 @@ STARTS: Mapping[str, tuple[float, float] | None] = {
 }
 """How far off the starting values are."""
 FROM_START: Mapping[str, Prepare] = {
+    "torchcal, elements and pixels": torchcal_all,
+    "torchcal, pixels alone": torchcal_pixels,
     "Open3D ICP, point to plane, Tukey": open3d_icp,
     "small_gicp GICP": small_gicp,
 }
-FROM_ANYWHERE: Mapping[str, Prepare] = {"Open3D FPFH + RANSAC + ICP": open3d_features}
+FROM_ANYWHERE: Mapping[str, Prepare] = {
+    "torchcal, elements and pixels": torchcal_all,
+    "Open3D FPFH + RANSAC + ICP": open3d_features,
+}
 FOUND = 0.1
 """Largest error (m and rad) of a pose that counts as found."""
 ABOUT = """\
@@ -40,6 +46,7 @@ and know the mesh of the hall beforehand. Found is within {found} m and {found} 
 rms of the norms of the errors, over what was found. Seconds are the median over the images.
 {versions}.
 
+- torchcal: counts as found only where its status is `converged`.
 - ICP and GICP: points are means of 4 x 4 pixels, the model's points what rays meet from the
   starting value, in a wider view; four runs with ever nearer partners.
 - FPFH + RANSAC: features of the image's points and of points all over the hall; then the same ICP.
