@@ -33,9 +33,9 @@ class Matches:
     """Matched elements: of the model, and measured."""
     used: Bool[Tensor, " pair"]
     """Whether the estimate rests on the pair; the others were found wrong."""
-    model_alone: Int[Tensor, " element"]
+    model_alone: Int[Tensor, " model"]
     """Elements of the model without a partner."""
-    measured_alone: Int[Tensor, " element"]
+    measured_alone: Int[Tensor, " measured"]
     """Measured elements without a partner."""
     candidates: int
     """Pairs that C of eq. 6 allows."""
