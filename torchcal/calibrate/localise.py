@@ -11,16 +11,16 @@ from torchcal.calibrate.clock import Clock
 from torchcal.calibrate.element_stage import element_fit
 from torchcal.calibrate.localisation import Localisation, Rival, StagePose
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
-from torchcal.calibrate.one_view import OneView, as_states, free_sensor
+from torchcal.calibrate.one_view import OneView, as_states, drawn_about, free_sensor
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pixel_stage import PixelFit, block_fit, pixel_fit, refined
 from torchcal.calibrate.result import Status
 from torchcal.calibrate.site import Site
 from torchcal.calibrate.whereabouts import (
+    DRAWS,
     Whereabouts,
     are_apart,
     judged,
-    poses_about,
     poses_anywhere,
 )
 from torchcal.geometry import se3
@@ -146,7 +146,8 @@ def _first_poses(
     if not view.coarse.measured.any():
         return
     if start is not None:
-        yield poses_about(start, generator)
+        for count in DRAWS:
+            yield drawn_about(start, count, generator)
     poses = site.Ts_world_body[:0] if planes is None else poses_anywhere(site, view, planes)
     if start is not None:
         poses = poses[_is_near(poses, start)]

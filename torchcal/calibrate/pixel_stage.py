@@ -22,8 +22,9 @@ from torchcal.solve.gauss_newton import (
     shared,
 )
 
-COARSE = GaussNewtonConfig(iterations=8, ripple=0.005, tolerance=1.0)
-FINE = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=0.5)
+COARSE = GaussNewtonConfig(iterations=10, ripple=0.005, tolerance=1.0, longest=1.5)
+FINE = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=1.0, longest=1.5)
+"""A step that is shorter than a standard deviation leaves less than a tenth of one."""
 AGREEING = 3.0
 """Standard deviations within which a block of pixels agrees with the prediction."""
 SLOW = 0.5
@@ -69,8 +70,9 @@ def pixel_fit(
 
 
 def block_fit(site: Site, view: OneView, parameters: Parameters) -> RangeFit:
-    """The fit to means over blocks of pixels, half as long as those that rays stand for."""
-    observation = coarser(view.observation, max(1, view.factor // 2))
+    """The fit to means over blocks of pixels, at most half as long as those of rays."""
+    side = block_side(view.observation.sensor.beam, max(1, view.factor // 2))
+    observation = coarser(view.observation, side)
     return RangeFit(
         observation=observation,
         surface=site.surface,
@@ -78,6 +80,20 @@ def block_fit(site: Site, view: OneView, parameters: Parameters) -> RangeFit:
         cutoff=robust.EFFICIENT,
         drift=None,
     )
+
+
+def block_side(beam: int, longest: int) -> int:
+    """The side of blocks (pixels) whose means a beam of whole blocks predicts best.
+
+    The mean over a block of side f of a beam of side b is as wide as b^2 + f^2 - 1 says, and a beam
+    of an odd number n of blocks as (n f)^2.
+    """
+
+    def misfit(side: int) -> int:
+        blocks = max(1, 2 * round((beam / side - 1) / 2) + 1)
+        return abs((blocks * side) ** 2 - beam**2 - side**2 + 1)
+
+    return min(range(longest, min(longest, 2) - 1, -1), key=misfit)
 
 
 def refined(fit: RangeFit, states: Float[Tensor, "state 2 4 4"]) -> Solution:

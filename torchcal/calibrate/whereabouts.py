@@ -10,19 +10,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.one_view import OneView, as_states, drawn_about
+from torchcal.calibrate.one_view import OneView, as_states
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.ray_fit import RayFit
 from torchcal.calibrate.site import Site
 from torchcal.geometry import se3
 from torchcal.match.directions import Directions, aligning_rotations
 from torchcal.match.features import Planes
-from torchcal.match.prior_gate import Prior
 from torchcal.match.volume import peaks
 from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
 
-DRAWS = 256
-"""Poses drawn from a prior."""
+DRAWS = (64, 512)
+"""Poses drawn from a prior; more where the first do not lead to one that explains the image."""
 IMAGE_DIRECTIONS = 6
 """Most directions of planes in the image."""
 ROTATIONS = 60
@@ -31,15 +30,15 @@ PLACES = 12
 """Most positions for each rotation."""
 JUDGED = 300
 """Most poses whose images are predicted."""
-FITTED = 24
-"""Poses that are fitted to the coarse image."""
+SHARE, LEAST_FITTED = 12, 8
+"""One pose in so many is fitted to the coarse image, and so many at least."""
 KEPT = 6
 """Poses that are fitted to the fine one."""
 FIRST_TOLERANCE = 0.2
 """m: what ranges may be off by before any fit."""
 TOLERANCES = (0.1, 0.03)
 """m: in the fits to the fine image, one after the other."""
-LAST_TOLERANCE = 0.01
+LAST_TOLERANCE = 0.003
 """m: where the beam mixes nothing."""
 APART = 0.05
 """m and rad: poses that differ by less are one."""
@@ -79,11 +78,6 @@ def poses_anywhere(site: Site, view: OneView, planes: Planes) -> Float[Tensor, "
     return torch.cat(poses)[order]
 
 
-def poses_about(prior: Prior, generator: torch.Generator) -> Float[Tensor, "pose 4 4"]:
-    """The prior's pose and draws from it."""
-    return drawn_about(prior, DRAWS, generator)
-
-
 def judged(
     site: Site, view: OneView, parameters: Parameters, Ts_world_sensor: Float[Tensor, "pose 4 4"]
 ) -> Whereabouts:
@@ -95,7 +89,8 @@ def judged(
         parameters=parameters,
         tolerance=FIRST_TOLERANCE,
     )
-    best = states[first.costs(states).argsort()[:FITTED]]
+    fitted = max(LEAST_FITTED, len(states) // SHARE)
+    best = states[first.costs(states).argsort()[:fitted]]
     solution = _fitted(first, best)
     states = distinct(solution.state, solution.equations.cost, KEPT)
     for tolerance in TOLERANCES:
