@@ -132,7 +132,7 @@ def run_trial(setting: Setting, number: int) -> dict[str, Any]:
     start = None
     if off is not None and trial.start is not None:
         start = prior(trial.start, off)
-    began, cpu = time.perf_counter(), time.process_time()
+    began, busy = time.perf_counter(), time.process_time()
     found = torchcal.localise(
         trial.range,
         setting.site,
@@ -140,7 +140,7 @@ def run_trial(setting: Setting, number: int) -> dict[str, Any]:
         start=start,
         generator=torch.Generator().manual_seed(options.seed),
     )
-    seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - cpu
+    seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - busy
     if number == 0 and options.picture is not None:
         draw(setting, trial, found, options.picture)
     least = cramer_rao(setting, trial.T_world_sensor)
@@ -165,8 +165,7 @@ def run_trial(setting: Setting, number: int) -> dict[str, Any]:
 
 def counts(setting: Setting, found: torchcal.Localisation, truth: Tensor) -> dict[str, int]:
     """Elements and matches of one trial; the paper counts lines."""
-    matches = found.matches
-    if matches is None:
+    if (matches := found.matches) is None:
         return {}
     same = in_one_place(matches.model, matches.measured, truth, setting.sensor.projection)
     right = same[matches.pairs[:, 0], matches.pairs[:, 1]]
@@ -185,10 +184,9 @@ def counts(setting: Setting, found: torchcal.Localisation, truth: Tensor) -> dic
     }
 
 
-def variances(covariance: Tensor) -> list[float]:
+def variances(P: Tensor) -> list[float]:
     """Of position and rotation, summed over the axes."""
-    d = covariance.diagonal()
-    return [float(d[:3].sum()), float(d[3:].sum())]
+    return [float(P.diagonal()[:3].sum()), float(P.diagonal()[3:].sum())]
 
 
 def stage_summary(trials: list[dict[str, Any]], stage: str) -> dict[str, float]:
@@ -206,9 +204,11 @@ def stage_summary(trials: list[dict[str, Any]], stage: str) -> dict[str, float]:
             "rotation_rms_rad": float(of["rotation_rad"].square().mean().sqrt()),
             "position_median_m": float(of["position_m"].median()),
             "rotation_median_rad": float(of["rotation_rad"].median()),
-            "within_10_mm_5_mrad": float(
-                ((of["position_m"] < 0.010) & (of["rotation_rad"] < 0.005)).sum() / len(trials)
-            ),
+            "within_10_mm_5_mrad": sum(
+                trial[stage]["position_m"] < 0.010 and trial[stage]["rotation_rad"] < 0.005
+                for trial in found
+            )
+            / len(trials),
             "nees_mean": float(of["nees"].mean()),
             "cramer_rao_position_m": float(least[0]),
             "cramer_rao_rotation_rad": float(least[1]),
@@ -227,9 +227,7 @@ def summary(options: Options, trials: list[dict[str, Any]]) -> dict[str, Any]:
     statuses = [trial["status"] for trial in trials]
     converged = [trial for trial in trials if trial["status"] == "converged"]
     return {
-        "trials": options.trials,
-        "seed": options.seed,
-        "initial": options.initial,
+        **{key: getattr(options, key) for key in ("trials", "seed", "initial", "stage")},
         "success": sum(trial[options.stage]["found"] for trial in trials) / len(trials),
         "status": {status: statuses.count(status) for status in sorted(set(statuses))},
         "false_converged": sum(not trial["pixels"]["found"] for trial in converged),
@@ -281,8 +279,7 @@ def mistake(options: Options) -> str | None:
 
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
-    wrong = mistake(options)
-    if wrong is not None:
+    if (wrong := mistake(options)) is not None:
         sys.exit(wrong)
     if options.json is not None and options.picture is None:
         options = replace(options, picture=options.json.with_suffix(".png"))
