@@ -140,6 +140,8 @@ TRIPOD_MISTAKES = [
     ("[sensor]", "[sensor]\nmount = {}", "sensor.mount", "has no [robot]", "no such key"),
     (POSE, POSE + "\njoints = { a = 1 }", "frame[1].joints", "has no [robot]", "no such key"),
     (POSE, "", "frame[1].pose", "nothing", "the nominal pose of the sensor"),
+    (POSE, '[[frame]]\ndepth = "a.png"\n[search]\ninitial = "anywhere"', "frame[1].pose", "nothing",
+     "the nominal pose"),
     (POSE, POSE + "\n[unknown.mount]\n" + SIGMAS, "unknown.mount", "has no [robot]", "a [robot]"),
     (POSE, POSE + "\n[unknown.joints]\nsigma_deg = 1", "unknown.joints", "has no [robot]", "no "),
     (POSE, POSE + "\n[unknown.frames]\n" + SIGMAS, "unknown.frames", "not estimate yet", "unk"),

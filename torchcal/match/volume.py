@@ -47,9 +47,10 @@ class Volume:
         low, high = triangles.flatten(0, 1).amin(0), triangles.flatten(0, 1).amax(0)
         side = float((high - low).max()) / CELLS
         needed = ((high - low) / side).ceil().long() + 4
-        size = tuple(_smooth(max(int(n), LEAST_CELLS)) for n in needed)
+        x, y, z = (_smooth(max(n, LEAST_CELLS)) for n in needed.tolist())
         points = _sampled(triangles, side, generator)
         origin = low - 2.0 * side
+        size = (x, y, z)
         occupied = _counted(points - origin, side, size).clamp(max=1.0)
         return Volume(
             origin=origin,
