@@ -93,18 +93,14 @@ def judged(
     best = states[first.costs(states).argsort()[:fitted]]
     solution = _fitted(first, best)
     states = distinct(solution.state, solution.equations.cost, KEPT)
+    fine = replace(first, observation=view.fine)
     for tolerance in TOLERANCES:
-        fit = RayFit(
-            observation=view.fine,
-            surface=site.surface,
-            parameters=parameters,
-            tolerance=tolerance,
-        )
-        solution = _fitted(fit, states)
+        fine = replace(fine, tolerance=tolerance)
+        solution = _fitted(fine, states)
         states = distinct(solution.state, solution.equations.cost, KEPT)
-    last = replace(fit, observation=view.unmixed, tolerance=LAST_TOLERANCE)
+    last = replace(fine, observation=view.unmixed, tolerance=LAST_TOLERANCE)
     states = _fitted(last, states).state
-    costs = fit.costs(states)
+    costs = fine.costs(states)
     order = costs.argsort()
     pixels = int(view.fine.measured.sum())
     return Whereabouts(Ts_world_sensor=states[order, 0], cost=costs[order] / max(pixels, 1))
