@@ -53,7 +53,8 @@ def test_the_first_frame_may_show_nothing():
 def test_a_frame_that_shows_something_else_does_not_converge():
     strange = {"block": scenes.box((0.7, 0.5, 0.4), (0.1, 0.0, 1.4), (0.3, 0.6, 0.2))}
     job = recordings.hand_held(SENSOR, [EYE], error=ASTRAY, real=strange)
-    assert answer(replace(job, initial="anywhere")).estimate.status is Status.FAILED
+    # A face of the block fits on any wall.
+    assert answer(replace(job, initial="anywhere")).estimate.status is not Status.CONVERGED
 
 
 def test_the_base_of_a_robot_is_found(tmp_path):

@@ -12,7 +12,7 @@ from torchcal.calibrate.element_search import ElementSearch
 from torchcal.calibrate.localisation import Matches, StagePose
 from torchcal.calibrate.site import Site
 from torchcal.geometry import se3
-from torchcal.match.characteristics import all_elements, find_candidates
+from torchcal.match.characteristics import Candidates, all_elements, find_candidates
 from torchcal.match.detection import nearest_candidate
 from torchcal.match.features import Features
 from torchcal.match.model.expected import expected_features
@@ -61,15 +61,23 @@ def element_fit(
         matrix=candidates.matrix & same,
         log_likelihood=candidates.log_likelihood.masked_fill(~same, -torch.inf),
     ).likeliest(1)
-    if not matrix.any():
-        return ElementFit(pose=None, matches=_unmatched(model, measured))
+    pairs = matrix.nonzero()
+    if len(pairs) == 0:
+        return ElementFit(
+            pose=None, matches=_matches(model, measured, candidates, pairs, pairs[:, 0])
+        )
+    # Without the elements that have no partner: they would only be taken for each other.
     found = find_element_poses(
-        own, others, matrix, generator=generator, search=SEARCH, detect=nearest_candidate
+        own[pairs[:, 0]],
+        others[pairs[:, 1]],
+        torch.eye(len(pairs), dtype=torch.bool, device=pairs.device),
+        generator=generator,
+        search=SEARCH,
+        detect=nearest_candidate,
     )
-    return ElementFit(
-        pose=_pose(found),
-        matches=_matches(model, measured, matrix, found, int(candidates.matrix.sum())),
-    )
+    number = torch.arange(len(pairs), device=pairs.device)
+    used = (found.weights > 0).any(-1) & (found.partner == number)
+    return ElementFit(pose=_pose(found), matches=_matches(model, measured, candidates, pairs, used))
 
 
 def _expected(site: Site, sensor: Sensor, T_world_sensor: Float[Tensor, "4 4"]) -> Features:
@@ -82,46 +90,34 @@ def _expected(site: Site, sensor: Sensor, T_world_sensor: Float[Tensor, "4 4"]) 
 
 
 def _pose(found: ElementPoses) -> StagePose | None:
-    """T_world_sensor: a twist on the right of T_sensor_world is one on its inverse's left."""
+    """T_world_sensor: a twist on the right of T_sensor_world is one on its inverse's left.
+
+    The covariance is as much larger as the residuals are than the elements' covariances say.
+    """
     T_sensor_world = found.T_measured_model
     if not (T_sensor_world.isfinite().all() and found.covariance.isfinite().all()):
         return None
     moved = se3.adjoint(T_sensor_world)
+    spare = ((found.weights > 0).sum() - 6).clamp(min=1)
+    excess = (2.0 * found.cost / spare).clamp(min=1.0)
     return StagePose(
         T_world_sensor=se3.inverse(T_sensor_world),
-        covariance=moved @ found.covariance @ moved.mT,
+        covariance=excess * (moved @ found.covariance @ moved.mT),
     )
 
 
 def _matches(
-    model: Features, measured: Features, matrix: Tensor, found: ElementPoses, candidates: int
+    model: Features, measured: Features, candidates: Candidates, pairs: Tensor, used: Tensor
 ) -> Matches:
-    """Pairs that keep a weight are used, the others were found wrong."""
-    own, others = matrix.nonzero(as_tuple=True)
-    kept = (found.weights > 0).any(-1)[own] & (found.partner[own] == others)
-    pairs = torch.stack([own, others], 1)
+    rows, columns = candidates.matrix.shape
     return Matches(
         model=model,
         measured=measured,
         pairs=pairs,
-        used=kept,
-        model_alone=_without(pairs[:, 0], matrix.shape[0]),
-        measured_alone=_without(pairs[:, 1], matrix.shape[1]),
-        candidates=candidates,
-    )
-
-
-def _unmatched(model: Features, measured: Features) -> Matches:
-    none = torch.zeros(0, 2, dtype=torch.int64)
-    own, others = (all_elements(each).count for each in (model, measured))
-    return Matches(
-        model=model,
-        measured=measured,
-        pairs=none,
-        used=none[:, 0] > 0,
-        model_alone=torch.arange(own),
-        measured_alone=torch.arange(others),
-        candidates=0,
+        used=used > 0,
+        model_alone=_without(pairs[:, 0], rows),
+        measured_alone=_without(pairs[:, 1], columns),
+        candidates=int(candidates.matrix.sum()),
     )
 
 
