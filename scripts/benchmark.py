@@ -1,11 +1,12 @@
 """Measure torchcal beside other programs; each measurement writes its section of benchmarks.md."""
 
 import tyro
-from benchmarks import render, solver
+from benchmarks import localise, render, solver
 
 COMMANDS = {
     "solver": solver.measure,
     "render": render.measure,
+    "localise": localise.measure,
 }
 
 

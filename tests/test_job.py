@@ -88,6 +88,14 @@ def test_hand_held_job_has_poses_instead_of_joints(tmp_path):
     assert_close(job.sensor.projection.elevation, (math.pi / 6, -math.pi / 6))
 
 
+def test_a_search_anywhere_needs_no_pose_of_a_single_frame(tmp_path):
+    text = tiny_job.TRIPOD_JOB.replace("pose = { xyz = [1, 2, 3] }\n", "")
+    job = read_job(tiny_job.write(tmp_path, text + '[search]\ninitial = "anywhere"\n'))
+    assert job.initial == "anywhere"
+    assert job.frames[0].T_world_sensor is not None
+    assert torch.equal(job.frames[0].T_world_sensor, torch.eye(4, dtype=torch.float64))
+
+
 def test_frames_of_the_same_name_are_numbered(tmp_path):
     frame = '\n[[frame]]\ndepth = "other/a.png"\npose = {}\n'
     file = tiny_job.write(tmp_path, tiny_job.TRIPOD_JOB + frame)

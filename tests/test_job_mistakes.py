@@ -127,8 +127,6 @@ ARM_MISTAKES = [
     ("[unknown.base]", "[unknown.range]\noffset_sigma = 1\nscale_sigma = 1\n[unknown.base]",
      "unknown.range", "does not estimate yet", "unknown.base or unknown.mount"),
     ("[unknown.base]", "[unknown.frames]", "unknown.frames", "has a [robot]", "unknown.base"),
-    ("[unknown.base]", '[search]\ninitial = "anywhere"\n[unknown.base]', "search.initial",
-     "does not support yet", '"nominal"'),
 ]  # fmt: skip
 
 SIGMAS = "position_sigma = 1\nrotation_sigma_deg = 1\n"
@@ -142,10 +140,11 @@ TRIPOD_MISTAKES = [
     ("[sensor]", "[sensor]\nmount = {}", "sensor.mount", "has no [robot]", "no such key"),
     (POSE, POSE + "\njoints = { a = 1 }", "frame[1].joints", "has no [robot]", "no such key"),
     (POSE, "", "frame[1].pose", "nothing", "the nominal pose of the sensor"),
+    (POSE, '[[frame]]\ndepth = "a.png"\n[search]\ninitial = "anywhere"', "frame[1].pose", "nothing",
+     "the nominal pose"),
     (POSE, POSE + "\n[unknown.mount]\n" + SIGMAS, "unknown.mount", "has no [robot]", "a [robot]"),
     (POSE, POSE + "\n[unknown.joints]\nsigma_deg = 1", "unknown.joints", "has no [robot]", "no "),
     (POSE, POSE + "\n[unknown.frames]\n" + SIGMAS, "unknown.frames", "not estimate yet", "unk"),
-    (POSE, '[search]\ninitial = "anywhere"', "search.initial", "not support yet", '"nominal"'),
     ("columns = 8", "columns = 1", "sensor.azimuth_deg", "sensor.columns = 1", "twice the same"),
     ("[30, -30]", "[30, 30]", "sensor.elevation_deg", "[30, 30] for 6 rows", "two different"),
     ("[30, -30]", "[95, -30]", "sensor.elevation_deg", "[95, -30]", "between -90 and 90"),

@@ -19,6 +19,12 @@ from torchcal.calibrate.element_pose import find_element_poses as find_element_p
 from torchcal.calibrate.element_result import ElementPoses as ElementPoses
 from torchcal.calibrate.element_result import ElementStatus as ElementStatus
 from torchcal.calibrate.element_search import ElementSearch as ElementSearch
+from torchcal.calibrate.localisation import Localisation as Localisation
+from torchcal.calibrate.localisation import Matches as Matches
+from torchcal.calibrate.localisation import Rival as Rival
+from torchcal.calibrate.localisation import StagePose as StagePose
+from torchcal.calibrate.localise import localise as localise
+from torchcal.calibrate.localise import localise_pixels as localise_pixels
 from torchcal.calibrate.result import Calibration as Calibration
 from torchcal.calibrate.result import Estimate as Estimate
 from torchcal.calibrate.result import FrameComparison as FrameComparison
@@ -26,6 +32,7 @@ from torchcal.calibrate.result import JobCheck as JobCheck
 from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update
+from torchcal.calibrate.site import Site as Site
 from torchcal.demo import make_demo as make_demo
 from torchcal.errors import JobError as JobError
 from torchcal.errors import TorchcalError as TorchcalError
@@ -34,6 +41,9 @@ from torchcal.geometry.projection import Spherical as Spherical
 from torchcal.match.detection import every_candidate as every_candidate
 from torchcal.match.detection import nearest_candidate as nearest_candidate
 from torchcal.match.elements import Elements as Elements
+from torchcal.match.features import Features as Features
+from torchcal.match.image.features import image_features as image_features
+from torchcal.match.prior_gate import Prior as Prior
 from torchcal.model.job import Job as Job
 from torchcal.model.read_job import read_job as read_job
 from torchcal.model.robot import Robot as Robot
@@ -46,6 +56,7 @@ from torchcal.model.sensor import Noise as Noise
 from torchcal.model.sensor import Sensor as Sensor
 from torchcal.model.urdf import write_urdf as write_urdf
 from torchcal.model.world import World as World
+from torchcal.model.world import WorldObject as WorldObject
 from torchcal.model.world import load_world as load_world
 from torchcal.model.world import write_world as write_world
 from torchcal.render.synthesis import Synthesis as Synthesis

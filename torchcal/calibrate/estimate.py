@@ -1,7 +1,7 @@
 """Parameter estimation (section 3): start, coarse choice, final fit, and what to say of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
-from torchcal.calibrate.observation import coarser, cropped, observe, sharpened
+from torchcal.calibrate.observation import Observation, coarser, cropped, observe, sharpened
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
     Refined,
@@ -39,6 +39,8 @@ AGREEING = 3.0
 """Standard deviations of the declared noise within which a pixel agrees with a pose."""
 EXPLAINED = 0.2
 """Share of the compared pixels that must agree before a pose counts as an explanation."""
+EXPLAINED_ANYWHERE = 0.6
+"""The same for a pose that no prior vouches for."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,15 +52,33 @@ class Choice:
     """Robust cost per measured pixel of the coarse images."""
     rivals: tuple[tuple[Tensor, float], ...]
     """State and score."""
+    least_agreement: float = EXPLAINED
+    """Share of the compared pixels that must agree in the end."""
 
 
 def choose_start(
     job: Job, scene: Scene, parameters: Parameters, generator: torch.Generator
 ) -> Choice:
-    """Hypotheses, robust fits and a score that needs no truth (3.5)."""
-    observation = cropped(observe(job))
-    coarse = sharpened(coarser(observation, coarse_factor(observation)))
+    """Hypotheses from the prior, robust fits and a score that needs no truth (3.5)."""
+    coarse = _coarse(job)
     candidates = find_candidates(coarse, scene.surface, parameters, generator)
+    return _best(coarse, scene, parameters, candidates)
+
+
+def choose_found(
+    job: Job, scene: Scene, parameters: Parameters, states: Float[Tensor, "state 2 4 4"]
+) -> Choice:
+    """The same among states that were found without a prior: more must agree with one."""
+    choice = _best(_coarse(job), scene, parameters, states)
+    return replace(choice, least_agreement=EXPLAINED_ANYWHERE)
+
+
+def _coarse(job: Job) -> Observation:
+    observation = cropped(observe(job))
+    return sharpened(coarser(observation, coarse_factor(observation)))
+
+
+def _best(coarse: Observation, scene: Scene, parameters: Parameters, candidates: Tensor) -> Choice:
     solution = coarse_fit(coarse, scene.surface, parameters, candidates)
     scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
     order = scores.argsort().tolist()
@@ -159,7 +179,8 @@ def _status(
     comparisons: Sequence[FrameComparison],
     jacobians: Tensor,
 ) -> Status:
-    if not belief.covariance.isfinite().all() or agreement(comparisons, belief) < EXPLAINED:
+    share = agreement(comparisons, belief)
+    if not belief.covariance.isfinite().all() or share < choice.least_agreement:
         return Status.FAILED
     moved = parameters.difference(belief.state, parameters.nominal) / parameters.prior_sigma
     if (moved.abs() > FARTHEST).any():

@@ -20,6 +20,7 @@ WORDS = {
     "ry": "a turn of the {} about y",
     "rz": "a turn of the {} about z",
 }
+BLOCKS = {"base": "base", "mount": "sensor's mount", "sensor": "sensor"}
 
 
 def unobservable_directions(
@@ -40,7 +41,7 @@ def unobservable_directions(
 
 def _words(direction: Tensor, names: tuple[str, ...]) -> str:
     named = [
-        WORDS[axis].format({"base": "base", "mount": "sensor's mount"}[block])
+        WORDS[axis].format(BLOCKS[block])
         for name, share in zip(names, direction.tolist(), strict=True)
         if abs(share) > NAMED
         for block, axis in [name.split(".")]

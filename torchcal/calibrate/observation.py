@@ -42,14 +42,27 @@ def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
     """The job's images at full resolution, without the pixels at depth jumps of sharp sensors."""
     ranges = torch.stack([frame.image.range for frame in job.frames]).to(dtype)
     usable = torch.stack([frame.image.usable for frame in job.frames])
+    return observed(ranges, usable, job.sensor)
+
+
+def observed(
+    ranges: Float[Tensor, "frame h w"], usable: Bool[Tensor, "frame h w"], sensor: Sensor
+) -> Observation:
+    """Images (m) at full resolution, without the pixels at depth jumps of sharp sensors.
+
+    Args:
+        ranges: Not finite where nothing was measured.
+        usable: What may be used.
+        sensor: What measured them.
+    """
     measured = usable & ranges.isfinite()
-    sigma = job.sensor.noise.sigma(ranges.nan_to_num(1.0))
-    if job.sensor.beam <= 1:
+    sigma = sensor.noise.sigma(ranges.nan_to_num(1.0))
+    if sensor.beam <= 1:
         # Real cameras mix or invent ranges at jumps; a wide beam mixes them as eq. 17 says.
-        measured = measured & ~_near_jumps(ranges, measured, sigma)
+        measured = measured & ~near_jumps(ranges, measured, sigma)
         measured = measured & ~grown(~usable, MASK_MARGIN)
     return Observation(
-        sensor=job.sensor,
+        sensor=sensor,
         range=torch.where(measured, ranges, 0.0),
         measured=measured,
         sigma=sigma,
@@ -111,7 +124,9 @@ def _block_mean(images: Tensor, factor: int) -> Tensor:
     return functional.avg_pool2d(images[:, None], factor)[:, 0]
 
 
-def _near_jumps(ranges: Tensor, measured: Tensor, sigma: Tensor) -> Tensor:
+def near_jumps(
+    ranges: Float[Tensor, "frame h w"], measured: Bool[Tensor, "frame h w"], sigma: Tensor
+) -> Bool[Tensor, "frame h w"]:
     """Pixels within two of a depth jump: a bend in inverse range, which is straight on a plane."""
     inverse = torch.where(measured, ranges, torch.nan).reciprocal()
     bend = torch.maximum(_bend(inverse), _bend(inverse.mT).mT) * ranges.square()

@@ -9,10 +9,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchcal.calibrate.anywhere import locate
 from torchcal.calibrate.compare import Belief, compare
 from torchcal.calibrate.estimate import (
     Choice,
     belief_after,
+    choose_found,
     choose_start,
     estimate_of,
     fit_pixels,
@@ -49,11 +51,16 @@ def calibrate(
         progress: Called at the beginning and the end of each stage.
     """
     stages = _Stages(progress=progress)
+    states = None
+    if estimate and job.initial == "anywhere":
+        with stages.stage("look everywhere"):
+            located = locate(job, generator)
+            job, states = located.job, located.states
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     belief, choice = nominal_belief(job, parameters), None
     if estimate and parameters.names:
-        belief, choice = _estimated(job, scene, parameters, generator, stages)
+        belief, choice = _estimated(job, scene, parameters, generator, states, stages)
     with stages.stage("compare"):
         belief, comparisons = compare(job, scene, parameters, belief)
     result = estimate_of(parameters, belief, choice, comparisons)
@@ -85,11 +92,19 @@ def build_job_scene(job: Job) -> Scene:
 
 
 def _estimated(
-    job: Job, scene: Scene, parameters: Parameters, generator: torch.Generator, stages: "_Stages"
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    generator: torch.Generator,
+    states: Float[Tensor, "state 2 4 4"] | None,
+    stages: "_Stages",
 ) -> tuple[Belief, Choice]:
     """Section 3: start, fit, set aside what differs, fit the rest."""
     with stages.stage("find a start"):
-        choice = choose_start(job, scene, parameters, generator)
+        if states is None:
+            choice = choose_start(job, scene, parameters, generator)
+        else:
+            choice = choose_found(job, scene, parameters, states)
     with stages.stage("fit every pixel"):
         refined = fit_pixels(job, scene, parameters, choice.state)
     with stages.stage("set aside what differs"):

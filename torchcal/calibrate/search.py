@@ -22,6 +22,8 @@ POINTS = 2000
 """Measured points in all frames together."""
 APART = 0.1
 """States that differ by less than this many prior sigmas in every parameter count as one."""
+FAR = 0.05
+"""m and rad: a difference that is never small, however wide the prior is."""
 
 
 def find_candidates(
@@ -62,9 +64,10 @@ def distinct(
 def are_apart(
     state: Float[Tensor, "2 4 4"], other: Float[Tensor, "2 4 4"], parameters: Parameters
 ) -> bool:
-    """Whether two states differ by more than ``APART`` prior sigmas in some parameter."""
+    """Whether states differ by more than ``APART`` prior sigmas or ``FAR`` in some parameter."""
     difference = parameters.difference(state, other) / parameters.prior_sigma
-    return bool((difference.abs() > APART).any())
+    far = (APART * parameters.prior_sigma).clamp(max=FAR) / parameters.prior_sigma
+    return bool((difference.abs() > far).any())
 
 
 def _starts(parameters: Parameters, generator: torch.Generator) -> Tensor:

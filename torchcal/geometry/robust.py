@@ -65,6 +65,19 @@ def variance_inflation(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     return m0 * squared / slope.square()
 
 
+def weighted_variance(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """The same relative to the inverse of the weighted information A^T W A: 0.96 at ``EFFICIENT``.
+
+    For Gaussian noise, with psi(v) = v biweight(v): E[biweight] E[psi^2] / E[psi']^2.
+
+    Args:
+        c: Cut-off in standard deviations.
+    """
+    m0, m2, m4 = _truncated_moments(c, 3)
+    u = c.square().reciprocal()
+    return (m0 - 2 * u * m2 + u**2 * m4) * variance_inflation(c) / m0
+
+
 def relative_curvature(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Curvature of the biweight's cost over what its weights say: E[psi'] / E[biweight].
 

@@ -31,7 +31,7 @@ class Planes:
     area: Float[Tensor, " plane"]
     """m^2 that are seen, or of the model's whole face."""
     area_sigma: Float[Tensor, " plane"]
-    outline: tuple[Float[Tensor, "corner 3"], ...]
+    outline: tuple[Float[Tensor, "_ 3"], ...]
     """The corners (m) of each plane's outer border, in order."""
 
 

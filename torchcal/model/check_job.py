@@ -40,7 +40,7 @@ def _check_without_robot(file: Path, table: JobTable) -> None:
             expected = "no such key, or a [robot] that it belongs to"
             raise JobError(file, key, "a value although the job has no [robot]", expected)
     for i, frame in enumerate(table.frame, 1):
-        if frame.pose is None and table.search.initial == "nominal":
+        if frame.pose is None and (table.search.initial == "nominal" or len(table.frame) > 1):
             expected = "the nominal pose of the sensor in the world, for the job has no [robot]"
             raise JobError(file, f"frame[{i}].pose", "nothing", expected)
 
@@ -131,9 +131,3 @@ def _check_supported(file: Path, table: JobTable) -> None:
         if value is not None:
             found = "a block that this version does not estimate yet"
             raise JobError(file, key, found, "unknown.base or unknown.mount, which it estimates")
-    if table.search.initial != "nominal":
-        found = f'"{table.search.initial}", which this version does not support yet'
-        expected = (
-            '"nominal": it estimates unknown.base and unknown.mount from their nominal values'
-        )
-        raise JobError(file, "search.initial", found, expected)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from jaxtyping import Float
 from torch import Tensor
@@ -53,5 +54,7 @@ class Job:
     """``unknown.base``; without a robot, one correction shared by the poses of all frames."""
     mount: PosePrior | None
     """``unknown.mount``"""
+    initial: Literal["nominal", "anywhere"] = "nominal"
+    """Where to start. "anywhere": ``base`` and the nominal pose of base or sensor say nothing."""
     alpha: float = 3.0
     """The factor of eq. 1 and eq. 5."""

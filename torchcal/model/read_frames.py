@@ -37,7 +37,7 @@ def read_frames(
         Frame(
             image=_read_image(file, f"frame[{i}]", name, table, sensor),
             joints=_joint_values(file, f"frame[{i}]", table.joints or {}, robot) if robot else None,
-            T_world_sensor=pose(table.pose) if table.pose else None,
+            T_world_sensor=None if robot else pose(table.pose or PoseTable()),
         )
         for i, (name, table) in enumerate(zip(names, tables, strict=True), 1)
     )

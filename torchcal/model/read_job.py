@@ -57,6 +57,7 @@ def read_job(
         frames=tuple(_frame_to(frame, dtype, device) for frame in frames),
         base=_prior(table.unknown.base, dtype, device),
         mount=_prior(table.unknown.mount, dtype, device),
+        initial=table.search.initial,
         alpha=table.search.alpha,
     )
 

@@ -1,0 +1,135 @@
+"""The pose from every pixel (eq. 2, 9 to 16), from coarse to fine with the exact beam."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.observation import Observation, coarser
+from torchcal.calibrate.one_view import OneView, as_states
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.refine import Refined, estimated_covariance, with_noise
+from torchcal.calibrate.site import Site
+from torchcal.geometry import robust
+from torchcal.solve.gauss_newton import (
+    GaussNewtonConfig,
+    Solution,
+    StopReason,
+    covariance,
+    minimise,
+    shared,
+)
+
+COARSE = GaussNewtonConfig(iterations=10, ripple=0.005, tolerance=1.0, longest=1.5)
+FINE = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=1.0, longest=1.5)
+"""A step that is shorter than a standard deviation leaves less than a tenth of one."""
+AGREEING = 3.0
+"""Standard deviations within which a block of pixels agrees with the prediction."""
+SLOW = 0.5
+"""Sigmas of a pixel: what all pixels of a block may be off by together where nobody knows."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PixelFit:
+    """A pose on every pixel, and how well it explains the image."""
+
+    T_world_sensor: Float[Tensor, "4 4"]
+    covariance: Float[Tensor, "6 6"]
+    agreement: float
+    """Share of the measured blocks of pixels that are where the model says."""
+    settled: bool
+    """Whether the last fit ended in a minimum."""
+
+
+def pixel_fit(
+    site: Site, view: OneView, parameters: Parameters, T_world_sensor: Float[Tensor, "4 4"]
+) -> PixelFit:
+    """Fits the pose with the exact beam to blocks of pixels, then to every pixel.
+
+    Args:
+        site: The model.
+        view: The image.
+        parameters: The sensor's pose and its prior.
+        T_world_sensor: Where to start: within about a block of pixels.
+    """
+    blocks = block_fit(site, view, parameters)
+    coarse = refined(blocks, as_states(T_world_sensor)[None])
+    fit = replace(blocks, observation=view.observation)
+    if view.observation.sensor.noise.drift is None:
+        fit = with_noise(fit, coarse.state[0], 1)
+    solution = _fitted(fit, coarse.state, FINE)
+    state = solution.state[0]
+    return PixelFit(
+        T_world_sensor=state[0],
+        covariance=_covariance(fit, solution),
+        agreement=agreement(blocks, state),
+        settled=int(solution.stop[0]) != StopReason.INVALID,
+    )
+
+
+def block_fit(site: Site, view: OneView, parameters: Parameters) -> RangeFit:
+    """The fit to means over blocks of pixels, at most half as long as those of rays."""
+    side = block_side(view.observation.sensor.beam, max(1, view.factor // 2))
+    observation = coarser(view.observation, side)
+    return RangeFit(
+        observation=observation,
+        surface=site.surface,
+        parameters=parameters,
+        cutoff=robust.EFFICIENT,
+        drift=None,
+    )
+
+
+def block_side(beam: int, longest: int) -> int:
+    """The side of blocks (pixels) whose means a beam of whole blocks predicts best.
+
+    The mean over a block of side f of a beam of side b is as wide as b^2 + f^2 - 1 says, and a beam
+    of an odd number n of blocks as (n f)^2.
+    """
+
+    def misfit(side: int) -> int:
+        blocks = max(1, 2 * round((beam / side - 1) / 2) + 1)
+        return abs((blocks * side) ** 2 - beam**2 - side**2 + 1)
+
+    return min(range(longest, min(longest, 2) - 1, -1), key=misfit)
+
+
+def refined(fit: RangeFit, states: Float[Tensor, "state 2 4 4"]) -> Solution:
+    """Where the states end that start within about a block of pixels of their minima."""
+    return _fitted(fit, states, COARSE)
+
+
+def agreement(fit: RangeFit, state: Float[Tensor, "2 4 4"]) -> float:
+    """Share of the measured pixels of a fit within the noise of what the state predicts."""
+    agree = sum(
+        int(((f.residual.abs() <= AGREEING * _expected(fit.observation, k)) & f.compared).sum())
+        for k, f in enumerate(fit.residuals(state))
+    )
+    return agree / max(1, int(fit.observation.measured.sum()))
+
+
+def _expected(observation: Observation, frame: int) -> Tensor:
+    """Standard deviations (m) with what blocks of pixels have in common."""
+    noise, sigma = observation.sensor.noise, observation.sigma[frame]
+    if noise.drift is not None:
+        return (sigma.square() + noise.drift.sigma**2).sqrt()
+    single = noise.sigma(observation.range[frame])
+    return (sigma.square() + (SLOW * single).square()).sqrt()
+
+
+def _fitted(fit: RangeFit, states: Tensor, config: GaussNewtonConfig) -> Solution:
+    return minimise(shared(fit.evaluate), fit.parameters.retract, states, config)
+
+
+def _covariance(fit: RangeFit, solution: Solution) -> Tensor:
+    """P of eq. 3: in closed form where the noise is independent, else from the residuals."""
+    known = fit.observation.sensor.noise.drift
+    if known is not None and known.sigma == 0.0:
+        c = torch.tensor(fit.cutoff, dtype=torch.float64)
+        prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
+        told = solution.equations.information[0] - prior
+        return covariance(prior + told / robust.weighted_variance(c))
+    refined = Refined(state=solution.state[0], fit=fit, factor=1, solution=solution)
+    return estimated_covariance(refined)

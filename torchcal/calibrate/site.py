@@ -1,0 +1,66 @@
+"""A place whose model is known, made ready for range images from anywhere in it."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.match.directions import Directions
+from torchcal.match.model.features import ModelFeatures, find_model_features
+from torchcal.match.prior_gate import Prior
+from torchcal.match.volume import Volume
+from torchcal.model.scene import Surface
+
+DIRECTIONS = 14
+"""Most directions of planes that rotations are sought with."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Site:
+    """What stands still, with all that does not depend on the image."""
+
+    surface: Surface
+    Ts_world_body: Float[Tensor, "body 4 4"]
+    features: ModelFeatures
+    """The model's elements in the world (3.1 (2))."""
+    directions: Directions
+    """Normals of the model's planes, by area."""
+    volume: Volume
+    low: Float[Tensor, "3"]
+    """m: the least coordinates of the model, in the world."""
+    high: Float[Tensor, "3"]
+
+    @property
+    def middle(self) -> Prior:
+        """No more than that the sensor is about the site."""
+        T = torch.eye(4).to(self.low)
+        T[:3, 3] = 0.5 * (self.low + self.high)
+        extent = float((self.high - self.low).norm())
+        sigma = torch.tensor([extent] * 3 + [torch.pi] * 3).to(T)
+        return Prior(T_world_sensor=T, covariance=torch.diag(sigma.square()))
+
+    @staticmethod
+    def of(
+        surface: Surface, Ts_world_body: Float[Tensor, "body 4 4"], generator: torch.Generator
+    ) -> "Site":
+        """Finds the elements of a scene and its voxels.
+
+        Args:
+            surface: Triangles on bodies.
+            Ts_world_body: Where the bodies stand.
+            generator: Draws points of the surface; on the CPU.
+        """
+        exact = replace(surface, vertices=surface.vertices.double())
+        features = find_model_features(exact, Ts_world_body.double())
+        planes = features.features.planes
+        corners = features.triangles.flatten(0, 1)
+        return Site(
+            surface=replace(surface, vertices=surface.vertices.float()),
+            Ts_world_body=Ts_world_body.double(),
+            features=features,
+            directions=Directions.of(planes.elements.direction, planes.area, count=DIRECTIONS),
+            volume=Volume.of(features.triangles, generator),
+            low=corners.amin(0),
+            high=corners.amax(0),
+        )

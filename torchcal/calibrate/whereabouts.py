@@ -1,0 +1,136 @@
+"""First poses of a sensor: what explains a coarse image, about a start or anywhere (3.5).
+
+Anywhere: directions of planes give rotations, correlation of voxels gives the positions for each.
+All that is found is judged by predicted images.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.one_view import OneView, as_states
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.ray_fit import RayFit
+from torchcal.calibrate.site import Site
+from torchcal.geometry import se3
+from torchcal.match.directions import Directions, aligning_rotations
+from torchcal.match.features import Planes
+from torchcal.match.volume import peaks
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
+
+DRAWS = (64, 512)
+"""Poses drawn from a prior; more where the first do not lead to one that explains the image."""
+IMAGE_DIRECTIONS = 6
+"""Most directions of planes in the image."""
+ROTATIONS = 60
+"""Most rotations that are tried."""
+PLACES = 12
+"""Most positions for each rotation."""
+JUDGED = 300
+"""Most poses whose images are predicted."""
+SHARE, LEAST_FITTED = 12, 8
+"""One pose in so many is fitted to the coarse image, and so many at least."""
+KEPT = 6
+"""Poses that are fitted to the fine one."""
+FIRST_TOLERANCE = 0.2
+"""m: what ranges may be off by before any fit."""
+TOLERANCES = (0.1, 0.03)
+"""m: in the fits to the fine image, one after the other."""
+LAST_TOLERANCE = 0.003
+"""m: where the beam mixes nothing."""
+APART = 0.05
+"""m and rad: poses that differ by less are one."""
+STEPS = 6
+"""Most steps of each fit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Whereabouts:
+    """Poses that a coarse image suggests, the best first."""
+
+    Ts_world_sensor: Float[Tensor, "pose 4 4"]
+    cost: Float[Tensor, " pose"]
+    """Robust cost per measured pixel of the fine rays."""
+
+
+def poses_anywhere(site: Site, view: OneView, planes: Planes) -> Float[Tensor, "pose 4 4"]:
+    """Poses at which many measured points lie on the model, the best first.
+
+    Args:
+        site: The model.
+        view: The image.
+        planes: Planes of the image, in the sensor's frame.
+    """
+    rotations = aligning_rotations(site.directions, _image_directions(planes), count=ROTATIONS)
+    points = view.points.to(rotations)
+    if len(points) == 0:
+        return rotations.new_zeros(0, 4, 4)
+    values, poses = [rotations.new_zeros(0)], [rotations.new_zeros(0, 4, 4)]
+    for R in rotations:
+        offsets = points @ R.mT
+        value, index = peaks(site.volume.scores(offsets), PLACES)
+        places = site.volume.places(index.to(offsets), offsets)
+        values.append(value.to(places))
+        poses.append(se3.from_rotation_translation(R.expand(len(places), 3, 3), places))
+    order = torch.cat(values).argsort(descending=True)[:JUDGED]
+    return torch.cat(poses)[order]
+
+
+def judged(
+    site: Site, view: OneView, parameters: Parameters, Ts_world_sensor: Float[Tensor, "pose 4 4"]
+) -> Whereabouts:
+    """Fits the best of some poses to the image, ever finer, and orders them by cost."""
+    states = as_states(Ts_world_sensor.double())
+    first = RayFit(
+        observation=view.coarse,
+        surface=site.surface,
+        parameters=parameters,
+        tolerance=FIRST_TOLERANCE,
+    )
+    fitted = max(LEAST_FITTED, len(states) // SHARE)
+    best = states[first.costs(states).argsort()[:fitted]]
+    solution = _fitted(first, best)
+    states = distinct(solution.state, solution.equations.cost, KEPT)
+    fine = replace(first, observation=view.fine)
+    for tolerance in TOLERANCES:
+        fine = replace(fine, tolerance=tolerance)
+        solution = _fitted(fine, states)
+        states = distinct(solution.state, solution.equations.cost, KEPT)
+    last = replace(fine, observation=view.unmixed, tolerance=LAST_TOLERANCE)
+    states = _fitted(last, states).state
+    costs = fine.costs(states)
+    order = costs.argsort()
+    pixels = int(view.fine.measured.sum())
+    return Whereabouts(Ts_world_sensor=states[order, 0], cost=costs[order] / max(pixels, 1))
+
+
+def distinct(
+    states: Float[Tensor, "state 2 4 4"], costs: Float[Tensor, " state"], count: int
+) -> Float[Tensor, "kept 2 4 4"]:
+    """The best that are apart from each other, the best first."""
+    kept: list[Tensor] = []
+    for state in states[costs.nan_to_num(torch.inf).argsort()]:
+        if len(kept) < count and all(are_apart(state[0], other[0]) for other in kept):
+            kept.append(state)
+    return torch.stack(kept)
+
+
+def are_apart(T: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> bool:
+    """Whether two poses are different ones."""
+    xi = se3.log(se3.inverse(T) @ other)
+    return float(xi[:3].norm()) > APART or float(xi[3:].norm()) > APART
+
+
+def _fitted(fit: RayFit, states: Tensor) -> Solution:
+    config = GaussNewtonConfig(iterations=STEPS, ripple=0.01, tolerance=0.3)
+    return minimise(shared(fit.evaluate), fit.parameters.retract, states, config)
+
+
+def _image_directions(planes: Planes) -> Directions:
+    """By the share of the image that each plane fills."""
+    point, normal = planes.elements.point, planes.elements.direction
+    distance = point.norm(dim=-1).clamp(min=1e-9)
+    solid = planes.area * (point * normal).sum(-1).abs() / distance**3
+    return Directions.of(normal, solid, count=IMAGE_DIRECTIONS)

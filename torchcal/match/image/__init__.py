@@ -1,0 +1,1 @@
+"""Elements of range images (3.1 (2)): planes, lines and vertexes with their covariances."""

@@ -1,0 +1,61 @@
+"""From a range image to its elements (3.1 (2))."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchcal.match.features import Features
+from torchcal.match.image.creases import Found
+from torchcal.match.image.growth import grow_regions
+from torchcal.match.image.jumps import blurred_by
+from torchcal.match.image.labels import Planar, label_pixels
+from torchcal.match.image.lines import image_jumps, image_lines
+from torchcal.match.image.planes import image_planes
+from torchcal.match.image.vertices import image_vertices
+from torchcal.match.image.windows import Image, fit_windows, prepared
+from torchcal.model.sensor import Sensor
+
+STRIDE = 4
+"""Pixels from one window to the next."""
+
+
+def image_features(
+    range_image: Float[Tensor, "h w"], sensor: Sensor, mask: Bool[Tensor, "h w"] | None = None
+) -> Features:
+    """Planes, straight lines and vertexes of one range image, in the sensor's frame.
+
+    Args:
+        range_image: Depth or distance (m), as the projection has it; NaN, 0 or a value out of the
+            sensor's limits where nothing was measured.
+        sensor: Optics, beam and noise: the blur moves no border, and the noise says what is sure.
+        mask: Pixels that may be used; None: all.
+
+    Returns:
+        The elements with the covariances that the noise gives them (eq. 8).
+    """
+    image, planar, jumping = _planar(range_image, sensor, mask)
+    lines = image_lines(image, planar, jumping)
+    return Features(planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines))
+
+
+def image_labels(
+    range_image: Float[Tensor, "h w"], sensor: Sensor, mask: Bool[Tensor, "h w"] | None = None
+) -> Int[Tensor, "h w"]:
+    """The plane of ``image_features`` that each pixel shows; -1 for none."""
+    return torch.from_numpy(_planar(range_image, sensor, mask)[1].label)
+
+
+def _planar(
+    range_image: Tensor, sensor: Sensor, mask: Tensor | None
+) -> tuple[Image, Planar, list[Found]]:
+    """Jumps first: planes are fitted to what they do not blur."""
+    image = prepared(range_image, sensor, mask)
+    jumping = image_jumps(image)
+    blurred = torch.from_numpy(blurred_by(image, jumping)) & (sensor.beam > 1)
+    clear = replace(image, valid=image.valid & ~blurred)
+    side = 3 * STRIDE if sensor.beam > 2 * STRIDE else 2 * STRIDE
+    windows = fit_windows(clear, side=side, stride=STRIDE)
+    regions = grow_regions(windows)
+    return image, label_pixels(image, clear.valid.numpy(), windows, regions), jumping

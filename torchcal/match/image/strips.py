@@ -1,0 +1,246 @@
+"""Two planes with a straight border, blurred by the beam, fitted to the strip along a segment."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from torchcal.match.image.windows import Image
+
+MOST = 2500
+"""Pixels of a strip that are used."""
+STEEP = 3.0
+"""The standard deviation of planes' slopes before anything is measured."""
+ROUNDS = 5
+SURE = 2.0
+"""Standard deviations of chi-square that are no accident."""
+FLATTEST = 0.1
+"""Share of the typical inverse range below which no surface may fall in a strip."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Strip:
+    """One segment's two planes and its line. Parameters: m near, m far, shift, turn."""
+
+    ends: Float[ndarray, "2 2"]
+    """Pixels, on the line as fitted."""
+    m_near: Float[ndarray, "3"]
+    m_far: Float[ndarray, "3"]
+    covariance: Float[ndarray, "8 8"]
+    chi2: float
+    """For each degree of freedom."""
+    normal: Float[ndarray, "2"]
+    """Unit vector in the image, to the nearer side."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Pixels:
+    at: Float[ndarray, "pixel 2"]
+    """From the segment's middle."""
+    range: Float[ndarray, " pixel"]
+    sigma: Float[ndarray, " pixel"]
+    rays: Float[ndarray, "pixel 3"]
+    slopes: Float[ndarray, "pixel 2 3"]
+    """The derivatives of the rays to u and to v."""
+
+
+def fit_strip(
+    image: Image, ends: Float[ndarray, "2 2"], sides: tuple[float, float]
+) -> Strip | None:
+    """Least squares for both planes and the line; None where too little is measured.
+
+    Args:
+        image: The measured image.
+        ends: Of the segment, in pixels; the nearer surface is to its left.
+        sides: Pixels to which the strip may reach to the nearer and to the farther side.
+    """
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    along = (ends[1] - ends[0]) / length
+    normal = np.array([along[1], -along[0]])
+    middle = ends.mean(0)
+    pixels = _pixels(image, middle, along, length, sides)
+    beam = max(image.sensor.beam, 1)
+    if pixels is None:
+        return None
+    start = _start(pixels, normal, beam)
+    if start is None:
+        return None
+    fitted = _fit(pixels, start, normal, beam, length)
+    if fitted is None:
+        return None
+    values, covariance, chi2 = fitted
+    shift, turn = values[6], values[7]
+    offset = shift + np.tan(turn) * np.array([-0.5, 0.5]) * length
+    return Strip(
+        ends=ends + offset[:, None] * normal,
+        m_near=values[:3],
+        m_far=values[3:6],
+        covariance=covariance,
+        chi2=chi2,
+        normal=normal,
+    )
+
+
+def central_ray(image: Image, pixel: Float[ndarray, "2"]) -> tuple[ndarray, ndarray, ndarray]:
+    """The ray of a pixel and its derivatives to u and v."""
+    u, v = image.range.new_tensor(pixel)
+    projection = image.sensor.projection
+    du, dv = projection.ray_derivatives(u, v)
+    return projection.rays(u, v).numpy(), du.numpy(), dv.numpy()
+
+
+def _pixels(
+    image: Image, middle: ndarray, along: ndarray, length: float, sides: tuple[float, float]
+) -> _Pixels | None:
+    beam = max(image.sensor.beam, 1)
+    trim = min(beam / 2, length / 4)
+    normal = np.array([along[1], -along[0]])
+    half = (length / 2, max(sides))
+    span = np.abs(along) * half[0] + np.abs(normal) * half[1]
+    low = np.maximum(np.floor(middle - span), 0).astype(int)
+    high = np.minimum(np.ceil(middle + span) + 1, image.range.shape[::-1]).astype(int)
+    if (high <= low).any():
+        return None
+    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    at = np.stack([u - middle[0], v - middle[1]], -1)
+    across, place = at @ normal, at @ along
+    box = np.s_[low[1] : high[1], low[0] : high[0]]
+    inside = (np.abs(place) <= length / 2 - trim) & (across < sides[0]) & (across > -sides[1])
+    (rows, columns) = np.nonzero(inside & image.valid.numpy()[box])
+    if len(rows) < 30:
+        return None
+    step = 1 + len(rows) // MOST
+    rows, columns = rows[::step], columns[::step]
+    return _taken(image, at[rows, columns], rows + low[1], columns + low[0])
+
+
+def _taken(image: Image, at: ndarray, rows: ndarray, columns: ndarray) -> _Pixels:
+    rays = image.rays.numpy()
+    h, w = rays.shape[:2]
+    right, down = np.minimum(columns + 1, w - 1), np.minimum(rows + 1, h - 1)
+    du = rays[rows, right] - rays[rows, right - 1]
+    dv = rays[down, columns] - rays[down - 1, columns]
+    return _Pixels(
+        at=at,
+        range=image.range.numpy()[rows, columns],
+        sigma=image.sigma.numpy()[rows, columns],
+        rays=rays[rows, columns],
+        slopes=np.stack([du, dv], 1),
+    )
+
+
+def _start(pixels: _Pixels, normal: ndarray, beam: int) -> Float[ndarray, "8"] | None:
+    across = pixels.at @ normal
+    planes = []
+    for side in (1.0, -1.0):
+        own = across * side > 0.25 * beam
+        if own.sum() < 10:
+            return None
+        rays, ranges, sigma = pixels.rays[own], pixels.range[own], pixels.sigma[own]
+        typical = float(np.median(ranges))
+        weight = (typical**2 / sigma)[:, None]
+        prior = _prior(rays.mean(0), typical)
+        information = (rays * weight).T @ (rays * weight) + prior
+        planes.append(np.linalg.solve(information, (rays * weight**2).T @ (1.0 / ranges)))
+    return np.concatenate([*planes, [0.0, 0.0]])
+
+
+def _prior(ray: Float[ndarray, "3"], typical: float) -> Float[ndarray, "3 3"]:
+    """The information that surfaces are rarely steep."""
+    ray = ray / np.linalg.norm(ray)
+    return (typical / STEEP) ** 2 * (np.eye(3) - np.outer(ray, ray))
+
+
+def _fit(
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int, length: float
+) -> tuple[ndarray, ndarray, float] | None:
+    typical = float(np.median(pixels.range))
+    prior = np.zeros((8, 8))
+    prior[:3, :3] = prior[3:6, 3:6] = _prior(pixels.rays.mean(0), typical)
+    prior[6, 6], prior[7, 7] = (1.0 / beam) ** 2 / 4, (length / beam) ** 2 / 16
+    limit = np.array([beam / 4.0, beam / (2 * length)])
+    for _ in range(ROUNDS):
+        residual, jacobian = _whitened(pixels, values, normal, beam)
+        step, _ = _solved(jacobian, residual, prior, values)
+        step[6:] = np.clip(step[6:], -limit, limit)
+        values = values + step
+    if not np.isfinite(values).all():
+        return None
+    residual, jacobian = _whitened(pixels, values, normal, beam)
+    _, covariance = _solved(jacobian, residual, prior, values)
+    chi2 = float(residual @ residual) / max(len(residual) - 8, 1)
+    # Errors of the model have one sign all along the strip: noise alone would average out.
+    surplus = max(0.0, chi2 - 1.0 - SURE * (2.0 / len(residual)) ** 0.5) * len(residual) / 8
+    return values, covariance * (1.0 + surplus), chi2
+
+
+def _whitened(
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int
+) -> tuple[Float[ndarray, " pixel"], Float[ndarray, "pixel 8"]]:
+    """Residuals and their model's derivatives in standard deviations."""
+    model, jacobian = _model(pixels, values, normal, beam)
+    return (pixels.range - model) / pixels.sigma, jacobian / pixels.sigma[:, None]
+
+
+def _solved(
+    jacobian: ndarray, residual: ndarray, prior: ndarray, values: ndarray
+) -> tuple[Float[ndarray, "8"], Float[ndarray, "8 8"]]:
+    """The Gauss-Newton step, and the covariance."""
+    information = jacobian.T @ jacobian + prior
+    scale = np.sqrt(np.diag(information))
+    spread = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
+    covariance = spread / np.outer(scale, scale)
+    return covariance @ (jacobian.T @ residual - prior @ values), covariance
+
+
+def _model(
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int
+) -> tuple[Float[ndarray, " pixel"], Float[ndarray, "pixel 8"]]:
+    turned = normal + np.tan(values[7]) * np.array([normal[1], -normal[0]])
+    turned = turned / np.linalg.norm(turned)
+    along = np.array([-normal[1], normal[0]])
+    across = pixels.at @ turned - values[6]
+    share, density, moment = beam_share(across, beam * np.abs(turned))
+    near, near_slope = _plane(pixels, values[:3], turned)
+    far, far_slope = _plane(pixels, values[3:6], turned)
+    model = share * near + (1 - share) * far + moment * (near_slope - far_slope)
+    at_line = density * (near - far - across * (near_slope - far_slope))
+    jacobian = np.empty((len(model), 8))
+    jacobian[:, :3] = -(share * near**2)[:, None] * pixels.rays
+    jacobian[:, 3:6] = -((1 - share) * far**2)[:, None] * pixels.rays
+    jacobian[:, 6] = -at_line
+    jacobian[:, 7] = -at_line * (pixels.at @ along)
+    return model, jacobian
+
+
+def _plane(pixels: _Pixels, m: ndarray, normal: ndarray) -> tuple[ndarray, ndarray]:
+    """Ranges of a plane, and how they change from pixel to pixel along a direction."""
+    inverse = np.maximum(pixels.rays @ m, FLATTEST / float(np.median(pixels.range)))
+    slope = (pixels.slopes @ m) @ normal
+    return 1.0 / inverse, -slope / inverse**2
+
+
+def beam_share(
+    across: Float[ndarray, " pixel"], widths: Float[ndarray, "2"]
+) -> tuple[ndarray, ndarray, ndarray]:
+    """What of a square beam lies beyond a straight line (eq. 17).
+
+    Args:
+        across: Distance (pixels) of the beam's middle from the line.
+        widths: The lengths of the square's two sides as they project across the line.
+
+    Returns:
+        The share of its area, its derivative to the distance, and the integral over that share of
+        the distance from the beam's middle.
+    """
+    wide, narrow = max(widths.max(), 1e-6), max(widths.min(), 1e-3 * widths.max())
+    knots = np.array([1.0, -1.0, -1.0, 1.0])
+    corner = np.array([-wide - narrow, -wide + narrow, wide - narrow, wide + narrow]) / 2
+    ramp = np.maximum(across[:, None] - corner, 0.0)
+    scale = knots / (wide * narrow)
+    density = ramp @ scale
+    share = (ramp**2 / 2) @ scale
+    # The integral of -e f(e) from the far corner up to the distance, by parts.
+    moment = (ramp**3 / 6) @ scale - across * share
+    return share, density, moment
