@@ -1,5 +1,7 @@
 """Seams: lines along which faces that share no edge pass through one another in the image."""
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -13,6 +15,8 @@ from torchcal.render.zbuffer import hits_of_points
 
 FLUSH = 1e-6
 """Share of the range: surfaces that are nearer to one another are taken as one."""
+INSET = 1e-3
+"""Share of the way from a corner to the middle of a cell."""
 LENGTH = 1e3
 """m. Lines that meet in a pixel are followed as far as this: beyond their faces they do nothing."""
 
@@ -54,7 +58,7 @@ def seams_missed(
 ) -> tuple[Int[Tensor, " seam"], Float[Tensor, "seam 2 3"]]:
     """Where other faces pass through those seen in cells: squares, in order, and lines.
 
-    A face that is behind in the middle of a cell and in front in a corner of it meets what is seen.
+    A face in a cell whose plane is in front in a corner of it meets what is seen.
 
     Args:
         cells: Of all squares.
@@ -63,16 +67,28 @@ def seams_missed(
         views: In double precision.
     """
     found = [cells.square.new_zeros(0, 3)]
-    for other, point, _ in hits_of_points(views, squares, cells.square, cells.ray):
-        pair = torch.stack([face[point], other], -1)
-        differ = torch.nonzero((pair[:, 0] >= 0) & (pair[:, 0] != other))[:, 0]
-        differ = differ[_strangers(pair[differ], views.surface.faces)]
-        pair, cell = pair[differ], point[differ]
-        meet = _is_in_front_in_a_corner(pair, cells, cell, squares, views)
-        key = torch.cat([cells.square[cell, None], pair.sort(-1).values], -1)
-        found.append(key[meet])
+    for rays in _probes(cells, squares):
+        for other, point, _ in hits_of_points(views, squares, cells.square, rays):
+            pair = torch.stack([face[point], other], -1)
+            differ = torch.nonzero((pair[:, 0] >= 0) & (pair[:, 0] != other))[:, 0]
+            differ = differ[_strangers(pair[differ], views.surface.faces)]
+            pair, cell = pair[differ], point[differ]
+            meet = _is_in_front_in_a_corner(pair, cells, cell, squares, views)
+            key = torch.cat([cells.square[cell, None], pair.sort(-1).values], -1)
+            found.append(key[meet])
     rows = torch.cat(found).unique(dim=0)
     return rows[:, 0], _ends(rows[:, 1:], views.vertices, views.surface)
+
+
+def _probes(cells: Cells, squares: Squares) -> Iterator[Float[Tensor, "cell 3"]]:
+    """Rays through the middle of all cells and through places near their corners."""
+    yield cells.ray
+    x, y = 0.5 * (cells.left + cells.right).mean(1), cells.y.mean(1)
+    for sides in (cells.left, cells.right):
+        for end in (0, 1):
+            u = torch.lerp(sides[:, end], x, INSET)
+            v = torch.lerp(cells.y[:, end], y, INSET)
+            yield squares.rays(cells.square, u, v)
 
 
 def _is_in_front_in_a_corner(

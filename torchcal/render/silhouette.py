@@ -24,7 +24,7 @@ ARC = 4.0
 NEAREST = 0.05
 """The chord between the directions of an edge's ends is not taken as nearer to the sensor than this
 (of 1): it bounds the strokes of an edge that all but touches the sensor."""
-BEND = 1e-5
+BEND = 2e-5
 """Share of the range: creases that change no pixel's mean by more are left out."""
 
 

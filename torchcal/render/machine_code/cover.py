@@ -13,6 +13,8 @@ from torchcal.render.regions import PROBES
 
 NEARLY = 1.0 + 1e-6
 """What is farther than a hit by this factor is behind it, however it was rounded."""
+FEW = 32
+"""More values than this are not sorted by insertion."""
 
 
 @compiled
@@ -46,6 +48,8 @@ def faces_near(k, places, tiles, mesh, frame, facing):
             side = side_of(vertices, start, end, offset)
             reach = 0.5 * (abs(dot(side, to_u)) + abs(dot(side, to_v)))
             touches &= dot(side, origin) + reach >= 0.0
+            if not touches:
+                break
             for axis in range(3):
                 planes[found, 3 * j + axis] = side[axis]
         if touches:
@@ -56,8 +60,23 @@ def faces_near(k, places, tiles, mesh, frame, facing):
             ends = dot(ahead, vertices[a]), dot(ahead, vertices[b]), dot(ahead, vertices[c])
             least[found] = min(ends[0] / size, ends[1] / size, ends[2] / size)
             found += 1
-    order[:found] = np.argsort(least[:found])
+    _sort(found, least, order)
     return found
+
+
+@compiled
+@no_type_check
+def _sort(count, values, order):
+    """Enters the places of some values in ascending order: mostly a few, by insertion."""
+    if count > FEW:
+        order[:count] = np.argsort(values[:count])
+        return
+    for i in range(count):
+        j = i
+        while j > 0 and values[order[j - 1]] > values[i]:
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
 
 
 @compiled

@@ -4,11 +4,11 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchcal.render.machine_code.cells import ray_of_cell
+from torchcal.render.machine_code.cells import ray_of, ray_of_cell
 from torchcal.render.machine_code.compiled import compiled
 from torchcal.render.machine_code.cover import is_inside
 from torchcal.render.machine_code.vectors import dot
-from torchcal.render.seams import FLUSH
+from torchcal.render.seams import FLUSH, INSET
 
 SEAMS = 16
 """Most seams in one square."""
@@ -21,7 +21,7 @@ SEAM = -2
 def add_seams(count, number, shown, facing, found, faces, frame, lines):
     """Adds the lines in which faces pass through what is seen in cells; how many lines there are.
 
-    A face that is behind in the middle of a cell and in front in a corner of it meets what is seen.
+    A face in a cell whose plane is in front in a corner of it meets what is seen.
     """
     planes, name, least, order = facing
     (sides, _), (_, spot) = shown
@@ -30,20 +30,37 @@ def add_seams(count, number, shown, facing, found, faces, frame, lines):
         place = spot[c]
         if place < 0:
             continue
-        ray, own = ray_of_cell(sides[c], frame), _inverse(planes[place], frame)
+        own = _inverse(planes[place], frame)
         farthest = 1.0 / min(_in_corners(own, sides[c]))
         for k in range(found):
             i = order[k]
             if least[i] > farthest or number - before == SEAMS:
                 break
-            if i == place or not is_inside(planes[i], ray):
+            if i == place:
                 continue
             other = _inverse(planes[i], frame)
             gap = (other[0] - own[0], other[1] - own[1], other[2] - own[2])
             if max(_in_corners(gap, sides[c])) > FLUSH * own[2]:
-                if not _are_related(faces, name[place], name[i]):
+                related = _are_related(faces, name[place], name[i])
+                if not related and _reaches_into(planes[i], sides[c], frame):
                     number = _add_seam(gap, before, number, lines)
     return number
+
+
+@compiled
+@no_type_check
+def _reaches_into(plane, sides, frame):
+    """Whether a face holds the middle of a cell or a place near one of its corners."""
+    if is_inside(plane, ray_of_cell(sides, frame)):
+        return True
+    x = 0.25 * (sides[2] + sides[3] + sides[4] + sides[5])
+    y = 0.5 * (sides[0] + sides[1])
+    for k in range(4):
+        u = sides[2 + k] + INSET * (x - sides[2 + k])
+        v = sides[k % 2] + INSET * (y - sides[k % 2])
+        if is_inside(plane, ray_of(frame, u, v)):
+            return True
+    return False
 
 
 @compiled
