@@ -58,7 +58,7 @@ def seams_missed(
 ) -> tuple[Int[Tensor, " seam"], Float[Tensor, "seam 2 3"]]:
     """Where other faces pass through those seen in cells: squares, in order, and lines.
 
-    A face in a cell whose plane is in front in a corner of it meets what is seen.
+    Near a corner of the cell another face is in front of the one that is seen in the middle.
 
     Args:
         cells: Of all squares.
@@ -67,22 +67,20 @@ def seams_missed(
         views: In double precision.
     """
     found = [cells.square.new_zeros(0, 3)]
-    for rays in _probes(cells, squares):
-        for other, point, _ in hits_of_points(views, squares, cells.square, rays):
-            pair = torch.stack([face[point], other], -1)
-            differ = torch.nonzero((pair[:, 0] >= 0) & (pair[:, 0] != other))[:, 0]
-            differ = differ[_strangers(pair[differ], views.surface.faces)]
-            pair, cell = pair[differ], point[differ]
-            meet = _is_in_front_in_a_corner(pair, cells, cell, squares, views)
+    for rays in near_corners(cells, squares):
+        for other, cell, ranges in hits_of_points(views, squares, cells.square, rays):
+            pair, ray = torch.stack([face[cell], other], -1), rays[cell]
+            behind = _ranges_behind(pair[:, 0], ray, views)
+            meet = (1.0 / ranges - 1.0 / behind) * ranges > FLUSH
+            meet &= _strangers(pair, views.surface.faces)
             key = torch.cat([cells.square[cell, None], pair.sort(-1).values], -1)
             found.append(key[meet])
     rows = torch.cat(found).unique(dim=0)
     return rows[:, 0], _ends(rows[:, 1:], views.vertices, views.surface)
 
 
-def _probes(cells: Cells, squares: Squares) -> Iterator[Float[Tensor, "cell 3"]]:
-    """Rays through the middle of all cells and through places near their corners."""
-    yield cells.ray
+def near_corners(cells: Cells, squares: Squares) -> Iterator[Float[Tensor, "cell 3"]]:
+    """Rays through places near the corners of all cells."""
     x, y = 0.5 * (cells.left + cells.right).mean(1), cells.y.mean(1)
     for sides in (cells.left, cells.right):
         for end in (0, 1):
@@ -91,24 +89,17 @@ def _probes(cells: Cells, squares: Squares) -> Iterator[Float[Tensor, "cell 3"]]
             yield squares.rays(cells.square, u, v)
 
 
-def _is_in_front_in_a_corner(
-    pair: Tensor, cells: Cells, cell: Tensor, squares: Squares, views: Views
-) -> Tensor:
-    """Whether the second face's plane is nearer than the first one's in a corner of the cell."""
-    planes = [Facets.of(views.vertices, views.surface.faces[face]) for face in pair.unbind(1)]
-    front = torch.zeros_like(cell, dtype=torch.bool)
-    own = cells.square[cell]
-
-    def inverses(rays: Tensor) -> list[Tensor]:
-        return [dot(plane.normal[:-1], rays) / plane.offset[:-1] for plane in planes]
-
-    least = FLUSH * inverses(squares.origin[own])[0]
-    for sides in (cells.left, cells.right):
-        for end in (0, 1):
-            x, y = sides[cell, end], cells.y[cell, end]
-            seen, other = inverses(squares.rays(own, x, y))
-            front |= other - seen > least
-    return front
+def _ranges_behind(face: Tensor, rays: Tensor, views: Views) -> Tensor:
+    """Where rays meet single faces; NaN where they do not, or there is no face."""
+    corners = views.surface.faces[face.clamp(min=0)]
+    plane = Facets.of(views.vertices, corners)
+    points = views.vertices[corners].unbind(1)
+    meets = face >= 0
+    for k in range(3):
+        side = torch.linalg.cross(points[k], points[(k + 1) % 3] - points[k])
+        meets &= dot(side, rays) * plane.offset[:-1] >= 0
+    ranges = plane.offset[:-1] / dot(plane.normal[:-1], rays)
+    return torch.where(meets, ranges, torch.nan)
 
 
 def _strangers(pair: Tensor, faces: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from torchcal.render.machine_code.cells import ray_of, ray_of_cell
+from torchcal.render.machine_code.cells import ray_of
 from torchcal.render.machine_code.compiled import compiled
 from torchcal.render.machine_code.cover import is_inside
 from torchcal.render.machine_code.vectors import dot
@@ -21,7 +21,7 @@ SEAM = -2
 def add_seams(count, number, shown, facing, found, faces, frame, lines):
     """Adds the lines in which faces pass through what is seen in cells; how many lines there are.
 
-    A face in a cell whose plane is in front in a corner of it meets what is seen.
+    Near a corner of the cell another face is in front of the one that is seen in the middle.
     """
     planes, name, least, order = facing
     (sides, _), (_, spot) = shown
@@ -31,36 +31,31 @@ def add_seams(count, number, shown, facing, found, faces, frame, lines):
         if place < 0:
             continue
         own = _inverse(planes[place], frame)
-        farthest = 1.0 / min(_in_corners(own, sides[c]))
+        nearest = min(_in_corners(own, sides[c]))
         for k in range(found):
             i = order[k]
-            if least[i] > farthest or number - before == SEAMS:
+            if least[i] * nearest > 1.0 or number - before == SEAMS:
                 break
-            if i == place:
-                continue
             other = _inverse(planes[i], frame)
             gap = (other[0] - own[0], other[1] - own[1], other[2] - own[2])
-            if max(_in_corners(gap, sides[c])) > FLUSH * own[2]:
-                related = _are_related(faces, name[place], name[i])
-                if not related and _reaches_into(planes[i], sides[c], frame):
-                    number = _add_seam(gap, before, number, lines)
+            for corner in range(4):
+                if _in_corners(gap, sides[c])[corner] > FLUSH * own[2]:
+                    ray = _near_corner(corner, sides[c], frame)
+                    both = is_inside(planes[i], ray) and is_inside(planes[place], ray)
+                    if both and not _are_related(faces, name[place], name[i]):
+                        number = _add_seam(gap, before, number, lines)
+                        break
     return number
 
 
 @compiled
 @no_type_check
-def _reaches_into(plane, sides, frame):
-    """Whether a face holds the middle of a cell or a place near one of its corners."""
-    if is_inside(plane, ray_of_cell(sides, frame)):
-        return True
+def _near_corner(corner, sides, frame):
+    """The ray of a place near a corner of a cell: as ``seams.near_corners``."""
     x = 0.25 * (sides[2] + sides[3] + sides[4] + sides[5])
     y = 0.5 * (sides[0] + sides[1])
-    for k in range(4):
-        u = sides[2 + k] + INSET * (x - sides[2 + k])
-        v = sides[k % 2] + INSET * (y - sides[k % 2])
-        if is_inside(plane, ray_of(frame, u, v)):
-            return True
-    return False
+    u, v = sides[2 + corner], sides[corner % 2]
+    return ray_of(frame, u + INSET * (x - u), v + INSET * (y - v))
 
 
 @compiled
