@@ -65,6 +65,19 @@ def test_a_resized_pixel_is_centred_on_the_pixels_that_it_covers(optics, factor)
     assert_close(small.rays(u, v), rays, rtol=0, atol=ATOL)
 
 
+@EVERY
+@pytest.mark.parametrize("parts", [1, 3, 5])
+def test_divided_pixels_put_together_again_are_the_same_optics(optics, parts):
+    fine = optics.divided(parts)
+    assert (fine.width, fine.height) == (8 * parts, 6 * parts)
+    u, v = pixel_grid(optics, dtype=torch.float64, device=torch.device("cpu"))
+    shift = (parts - 1) / 2
+    assert_close(
+        fine.rays(parts * u + shift, parts * v + shift), optics.rays(u, v), rtol=0, atol=ATOL
+    )
+    assert_close(fine.resized(parts).rays(u, v), optics.rays(u, v), rtol=0, atol=ATOL)
+
+
 def test_pinhole_looks_along_z_at_its_centre():
     ray = PINHOLE.rays(torch.tensor(3.2), torch.tensor(2.7))
     assert_close(ray, torch.tensor([0.0, 0.0, 1.0]))

@@ -17,7 +17,7 @@ CAMERA = Pinhole(width=24, height=20, fx=30.0, fy=28.0, cx=11.2, cy=9.7)
 LIDAR = Spherical(width=24, height=20, azimuth=(-0.4, 0.4), elevation=(0.3, -0.3))
 AT_ORIGIN = np.eye(4)
 DOUBLE = 1e-9  # m; the plane is intersected in double precision
-ONE_SAMPLE = 1.0 / raycast.SAMPLES  # the lattice has one sample for each row and column
+ONE_SAMPLE = 1.0 / raycast.LATTICE.samples  # the lattice has one sample for each row and column
 
 
 def sheet(corners: list[tuple[float, float, float]]) -> trimesh.Trimesh:

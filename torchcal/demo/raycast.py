@@ -26,11 +26,22 @@ SINGLE_PRECISION = 1e-4
 FLATNESS = 1e-4
 """m. A pixel whose corners lie this near to the plane that its centre shows, shows that plane."""
 
-SAMPLES, TURN = 277, 60
-"""Sub-samples of a pixel, and how far in rows the next column's is: a square lattice of at least
-16 x 16 points (277 = 14^2 + 9^2), turned by 33 degrees; no two points share a row or a column."""
-
 RAYS_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Lattice:
+    """A square lattice of sub-samples of a pixel; no two of them share a row or a column."""
+
+    samples: int
+    turn: int
+    """How far in rows the next column's sample is."""
+
+
+LATTICE = Lattice(samples=277, turn=60)
+"""At least 16 x 16 points (277 = 14^2 + 9^2), turned by 33 degrees."""
+FINE_LATTICE = Lattice(samples=4001, turn=899)
+"""At least 63 x 63 points (4001 = 49^2 + 40^2), for pixels that no beam averages."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -112,19 +123,23 @@ def pixel_means(
     )
     mean = np.where(flat & (face >= 0), gauss.mean(0), 0.0)
     share = np.where(flat & (face >= 0), 1.0, 0.0)
-    for rows, columns in _chunks(~flat):
-        mean[rows, columns], share[rows, columns] = _sampled(scene, projection, columns, rows)
+    for rows, columns in _chunks(~flat, LATTICE):
+        mean[rows, columns], share[rows, columns] = _sampled(
+            scene, projection, columns, rows, LATTICE
+        )
     return mean, share
 
 
 def sampled_means(
-    scene: View, projection: Projection
+    scene: View, projection: Projection, lattice: Lattice = LATTICE
 ) -> tuple[Float[ndarray, "h w"], Float[ndarray, "h w"]]:
     """The same as ``pixel_means`` with every pixel sampled: slow, and nothing can slip through."""
     shape = projection.height, projection.width
     mean, share = np.zeros(shape), np.zeros(shape)
-    for rows, columns in _chunks(np.ones(shape, bool)):
-        mean[rows, columns], share[rows, columns] = _sampled(scene, projection, columns, rows)
+    for rows, columns in _chunks(np.ones(shape, bool), lattice):
+        mean[rows, columns], share[rows, columns] = _sampled(
+            scene, projection, columns, rows, lattice
+        )
     return mean, share
 
 
@@ -157,7 +172,8 @@ def box_mean(
     weights = np.ones(2 * half + 1)
     weights[[0, -1]] = 1.0 if beam % 2 else 0.5
     total, area = (_sum_over(image, weights) for image in (mean * share, share))
-    return np.where(area > 0.5 / SAMPLES, total / np.maximum(area, 0.5 / SAMPLES), np.nan)
+    least = 0.5 / FINE_LATTICE.samples
+    return np.where(area > least, total / np.maximum(area, least), np.nan)
 
 
 def measure(
@@ -210,23 +226,23 @@ def _shows_one_plane(scene: View, projection: Projection, face: Int[ndarray, "h 
 
 
 def _sampled(
-    scene: View, projection: Projection, columns: ndarray, rows: ndarray
+    scene: View, projection: Projection, columns: ndarray, rows: ndarray, lattice: Lattice
 ) -> tuple[Float[ndarray, " pixel"], Float[ndarray, " pixel"]]:
     """The mean range and the share of the area with a return, from the lattice of sub-samples."""
-    index = np.arange(SAMPLES)
-    along_u = (index + 0.5) / SAMPLES - 0.5
-    along_v = ((index * TURN + SAMPLES // 2) % SAMPLES + 0.5) / SAMPLES - 0.5
+    index, samples = np.arange(lattice.samples), lattice.samples
+    along_u = (index + 0.5) / samples - 0.5
+    along_v = ((index * lattice.turn + samples // 2) % samples + 0.5) / samples - 0.5
     rays = _rays(projection, columns[:, None] + along_u, rows[:, None] + along_v)
     ranges, _ = cast(scene, rays)
     returned = np.isfinite(ranges)
     count = returned.sum(1)
-    return np.where(returned, ranges, 0.0).sum(1) / np.maximum(count, 1), count / SAMPLES
+    return np.where(returned, ranges, 0.0).sum(1) / np.maximum(count, 1), count / samples
 
 
-def _chunks(mask: ndarray) -> Iterator[tuple[ndarray, ndarray]]:
+def _chunks(mask: ndarray, lattice: Lattice) -> Iterator[tuple[ndarray, ndarray]]:
     """Rows and columns of the pixels of a mask, so many at a time that their rays fit in memory."""
     rows, columns = np.nonzero(mask)
-    step = RAYS_AT_ONCE // SAMPLES
+    step = RAYS_AT_ONCE // lattice.samples
     for start in range(0, len(rows), step):
         yield rows[start : start + step], columns[start : start + step]
 

@@ -52,6 +52,10 @@ class Projection(Protocol):
         """The same optics with pixels that each cover ``factor`` x ``factor`` of these."""
         ...
 
+    def divided(self, parts: int) -> "Projection":
+        """The same optics with ``parts`` x ``parts`` pixels in the place of each; an odd number."""
+        ...
+
     def widened(self, margin: int) -> "Projection":
         """The same optics with up to ``margin`` more pixels on each side."""
         ...
@@ -111,6 +115,18 @@ class Pinhole:
             fy=self.fy / factor,
             cx=(self.cx - shift) / factor,
             cy=(self.cy - shift) / factor,
+        )
+
+    def divided(self, parts: int) -> "Pinhole":
+        """The same optics with ``parts`` x ``parts`` pixels in the place of each."""
+        shift = (parts - 1) / 2
+        return Pinhole(
+            width=self.width * parts,
+            height=self.height * parts,
+            fx=self.fx * parts,
+            fy=self.fy * parts,
+            cx=self.cx * parts + shift,
+            cy=self.cy * parts + shift,
         )
 
     def widened(self, margin: int) -> "Pinhole":
@@ -210,6 +226,18 @@ class Spherical:
             height=height,
             azimuth=(az0, az0 + (width - 1) * factor * self.azimuth_step),
             elevation=(el0, el0 + (height - 1) * factor * self.elevation_step),
+        )
+
+    def divided(self, parts: int) -> "Spherical":
+        """The same optics with ``parts`` x ``parts`` pixels in the place of each."""
+        across, up = (
+            (parts - 1) / (2 * parts) * step for step in (self.azimuth_step, self.elevation_step)
+        )
+        return Spherical(
+            width=self.width * parts,
+            height=self.height * parts,
+            azimuth=(self.azimuth[0] - across, self.azimuth[1] + across),
+            elevation=(self.elevation[0] - up, self.elevation[1] + up),
         )
 
     def widened(self, margin: int) -> "Spherical":

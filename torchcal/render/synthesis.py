@@ -17,6 +17,7 @@ from torchcal.render.beam import beam_area, box_sum
 from torchcal.render.layer import Layer, hard_layer
 from torchcal.render.mistakes import check_views
 from torchcal.render.motion import BodyMotion
+from torchcal.render.parts import divided, straight_parts
 from torchcal.render.sharing import share_pixels
 from torchcal.render.soup import Views, in_soup, soup_of_views
 from torchcal.render.visibility import visible_faces
@@ -73,12 +74,14 @@ def synthesise(
     check_views(surface, Ts_sensor_body, sensor, motion)
     batch = Ts_sensor_body.shape[:-3]
     poses = Ts_sensor_body.reshape(-1, *Ts_sensor_body.shape[-3:])
-    chunk = chunk or _views_at_once(surface, sensor)
+    parts = straight_parts(sensor)
+    fine = divided(sensor, parts)
+    chunk = chunk or _views_at_once(surface, fine)
     motions = [None] * len(poses)
     if motion is not None:
         motions = motion.reshape(len(poses), *motion.shape[-3:]).split(chunk)
     views = [
-        _synthesise_views(surface, part, sensor, moving)
+        _every(parts, _synthesise_views(surface, part, fine, moving))
         for part, moving in zip(poses.split(chunk), motions, strict=False)
     ]
 
@@ -103,6 +106,20 @@ def place_vertices(
     T = Ts_sensor_body[..., surface.vertex_body, :, :]
     points = surface.vertices.to(Ts_sensor_body)
     return (T[..., :3, :3] @ points[:, :, None])[..., 0] + T[..., :3, 3]
+
+
+def _every(parts: int, fine: Synthesis) -> Synthesis:
+    """The pixels whose middles those of a sensor's own pixels are."""
+    if parts == 1:
+        return fine
+    own = slice(parts // 2, None, parts)
+    return Synthesis(
+        range=fine.range[:, own, own],
+        coverage=fine.coverage[:, own, own],
+        face=fine.face[:, own, own],
+        jump=fine.jump[:, own, own],
+        jacobian=None if fine.jacobian is None else fine.jacobian[:, own, own],
+    )
 
 
 def _views_at_once(surface: Surface, sensor: Sensor) -> int:
