@@ -48,5 +48,5 @@ def test_large_curved_pixels_see_the_area_that_many_rays_see(beam: int):
     ],
 )
 def test_only_areas_with_curved_sides_are_split(projection: Projection, beam: int, parts: int):
-    """The steps of the spherical sensor are 1.8 degrees: seven parts are at most 0.3 degrees wide."""
+    """The steps of the spherical sensor are 1.8 degrees: seven parts are below 0.3 degrees."""
     assert straight_parts(sensor_of(projection, beam)) == parts

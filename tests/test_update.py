@@ -79,7 +79,7 @@ def update(*frames, sensor=NOISY, surroundings=None, correlation=0.0):
     surroundings = world() if surroundings is None else surroundings
     Ts = EYE.expand(len(frames), 4, 4)
     return propose_update(
-        job(sensor, surroundings), frames, BODIES, Ts, correlation_pixels=correlation
+        job(sensor, surroundings), frames, BODIES, Ts, correlation_pixels=correlation, moved={}
     )
 
 
@@ -232,7 +232,7 @@ def test_without_a_world_there_are_no_verdicts_but_a_tool_before_the_robot_is_ad
     measured[BOX] = 2.7
     frame = comparison(measured, model, 0.0036, body=torch.full(SHAPE, 2))
     proposed = propose_update(
-        job(DEPTH_CAMERA, None), [frame], BODIES[2:], EYE[None], correlation_pixels=30.0
+        job(DEPTH_CAMERA, None), [frame], BODIES[2:], EYE[None], correlation_pixels=30.0, moved={}
     )
     assert proposed.verdicts == {}
     assert len(proposed.added) == 1
@@ -242,5 +242,11 @@ def test_alpha_of_the_job_widens_what_counts_as_agreement():
     few = replace(job(NOISY, world()), alpha=3.0)
     strict = replace(few, alpha=60.0)
     frame = noisy(scene(2.9, beam=21), scene())
-    assert len(propose_update(few, [frame], BODIES, EYE[None], correlation_pixels=0.0).added) == 1
-    assert propose_update(strict, [frame], BODIES, EYE[None], correlation_pixels=0.0).added == ()
+    assert (
+        len(propose_update(few, [frame], BODIES, EYE[None], correlation_pixels=0.0, moved={}).added)
+        == 1
+    )
+    assert (
+        propose_update(strict, [frame], BODIES, EYE[None], correlation_pixels=0.0, moved={}).added
+        == ()
+    )

@@ -27,8 +27,8 @@ class Located:
 
     job: Job
     """With the best pose as the nominal one, and a prior as wide as the site."""
-    states: Float[Tensor, "state 2 4 4"]
-    """Starts for the estimate, the best first."""
+    Ts_world_base: Float[Tensor, "start 4 4"]
+    """Starts for the estimate, the best first; without a robot, of the first frame's sensor."""
 
 
 def locate(job: Job, generator: torch.Generator) -> Located:
@@ -48,7 +48,7 @@ def locate(job: Job, generator: torch.Generator) -> Located:
     bases = _bases(job, k, found)
     return Located(
         job=_told(job, bases[0], float((site.high - site.low).norm())),
-        states=torch.stack([bases, job.T_link_sensor.expand_as(bases)], 1),
+        Ts_world_base=bases,
     )
 
 

@@ -35,9 +35,13 @@ def check(job: Job) -> JobCheck:
     return JobCheck(
         frames=frames,
         parameters=tuple(
-            ParameterCheck(name=name, prior_sigma=float(prior), expected_sigma=float(expected))
-            for name, prior, expected in zip(
-                parameters.names, parameters.prior_sigma, P.diagonal().sqrt(), strict=True
+            ParameterCheck(name=name, unit=unit, prior_sigma=prior, expected_sigma=expected)
+            for name, unit, prior, expected in zip(
+                parameters.names,
+                parameters.units,
+                parameters.prior_sigma.tolist(),
+                P.diagonal().sqrt().tolist(),
+                strict=True,
             )
         ),
         unobservable=unobservable_directions(P, parameters),

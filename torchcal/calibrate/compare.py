@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.range_fit import FILLED
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.geometry import gaussian, robust
@@ -15,14 +16,14 @@ from torchcal.model.job import Frame, Job
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Sensor
 from torchcal.render.facets import Facets
-from torchcal.render.synthesis import Synthesis, place_vertices, synthesise
+from torchcal.render.synthesis import Synthesis, place_vertices
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Belief:
     """Where everything is believed to be and how sure that is."""
 
-    state: Float[Tensor, "2 4 4"]
+    state: Float[Tensor, "slot 4 4"]
     covariance: Float[Tensor, "parameter parameter"]
     """P of eq. 3."""
     drift_sigma: float
@@ -34,7 +35,7 @@ class Belief:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Prediction:
+class _Shown:
     """What the model says of one frame."""
 
     range: Float[Tensor, "h w"]
@@ -56,44 +57,41 @@ def compare(
         the comparisons made with it.
     """
     poses = parameters.bodies_in_sensor(belief.state).float()
-    motions = parameters.motion(belief.state).float()
-    predictions = [
-        _predict(scene, job.sensor, poses[k], motions[k], belief) for k in range(len(job.frames))
-    ]
-    scale = belief.sigma_scale * _residual_scale(job, predictions, belief)
+    frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
+    shown = [_shown(scene, poses[k], frame, job.sensor, belief) for k, frame in enumerate(frames)]
+    scale = belief.sigma_scale * _residual_scale(job, shown, belief)
     belief = replace(belief, sigma_scale=scale)
     return belief, tuple(
         _compare_frame(job, frame, prediction, belief)
-        for frame, prediction in zip(job.frames, predictions, strict=True)
+        for frame, prediction in zip(job.frames, shown, strict=True)
     )
 
 
-def _predict(
-    scene: Scene, sensor: Sensor, poses: Tensor, motion: Tensor, belief: Belief
-) -> _Prediction:
-    synthesis = synthesise(scene.surface, poses, sensor, motion)
-    assert synthesis.jacobian is not None, "a motion was given"
-    modelled = (synthesis.coverage > FILLED) & synthesis.range.isfinite()
-    P = belief.covariance.to(synthesis.jacobian)
-    none = torch.zeros_like(synthesis.range)
+def _shown(
+    scene: Scene, poses: Tensor, prediction: Prediction, sensor: Sensor, belief: Belief
+) -> _Shown:
+    synthesis, active = prediction.synthesis, prediction.active
+    modelled = (synthesis.coverage > FILLED) & prediction.range.isfinite()
+    P = belief.covariance[active[:, None], active].to(prediction.jacobian)
+    none = torch.zeros_like(prediction.range)
     colour, normal, body = _appearance(scene, poses, synthesis, sensor)
-    return _Prediction(
-        range=torch.where(modelled, synthesis.range, torch.nan),
-        spread=gaussian.predicted_sigma(synthesis.jacobian, P, none),
+    return _Shown(
+        range=torch.where(modelled, prediction.range, torch.nan),
+        spread=gaussian.predicted_sigma(prediction.jacobian, P, none),
         colour=colour,
         normal=normal,
         body=body,
     )
 
 
-def _sigma(prediction: _Prediction, sensor: Sensor, belief: Belief) -> Tensor:
+def _sigma(prediction: _Shown, sensor: Sensor, belief: Belief) -> Tensor:
     """Sigma' of eq. 4 with both parts of the noise."""
     noise = sensor.noise.sigma(prediction.range) * belief.sigma_scale
     drift = torch.full_like(noise, belief.drift_sigma)
     return torch.hypot(prediction.spread, torch.hypot(noise, drift))
 
 
-def _residual_scale(job: Job, predictions: list[_Prediction], belief: Belief) -> float:
+def _residual_scale(job: Job, predictions: list[_Shown], belief: Belief) -> float:
     """Robust standard deviation of measured minus predicted in units of sigma', at least 1."""
     v = []
     for frame, prediction in zip(job.frames, predictions, strict=True):
@@ -103,9 +101,7 @@ def _residual_scale(job: Job, predictions: list[_Prediction], belief: Belief) ->
     return max(1.0, robust.robust_scale(torch.cat(v)))
 
 
-def _compare_frame(
-    job: Job, frame: Frame, prediction: _Prediction, belief: Belief
-) -> FrameComparison:
+def _compare_frame(job: Job, frame: Frame, prediction: _Shown, belief: Belief) -> FrameComparison:
     sigma = _sigma(prediction, job.sensor, belief)
     measured = frame.image.range.to(prediction.range)
     return FrameComparison(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.stats import chi2
 from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
@@ -26,6 +27,7 @@ from torchcal.calibrate.result import (
     Status,
 )
 from torchcal.calibrate.search import are_apart, find_candidates
+from torchcal.calibrate.slots import BASE, MOUNT
 from torchcal.geometry import gaussian
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
@@ -39,6 +41,8 @@ AGREEING = 3.0
 """Standard deviations of the declared noise within which a pixel agrees with a pose."""
 EXPLAINED = 0.2
 """Share of the compared pixels that must agree before a pose counts as an explanation."""
+CHANCE = 1e-4
+"""An object moved if chance alone would put its estimate so far off less often than this."""
 EXPLAINED_ANYWHERE = 0.6
 """The same for a pose that no prior vouches for."""
 
@@ -47,7 +51,7 @@ EXPLAINED_ANYWHERE = 0.6
 class Choice:
     """The start that explains the coarse images best, and those that explain them as well."""
 
-    state: Float[Tensor, "2 4 4"]
+    state: Float[Tensor, "slot 4 4"]
     score: float
     """Robust cost per measured pixel of the coarse images."""
     rivals: tuple[tuple[Tensor, float], ...]
@@ -66,7 +70,7 @@ def choose_start(
 
 
 def choose_found(
-    job: Job, scene: Scene, parameters: Parameters, states: Float[Tensor, "state 2 4 4"]
+    job: Job, scene: Scene, parameters: Parameters, states: Float[Tensor, "state slot 4 4"]
 ) -> Choice:
     """The same among states that were found without a prior: more must agree with one."""
     choice = _best(_coarse(job), scene, parameters, states)
@@ -93,7 +97,7 @@ def _best(coarse: Observation, scene: Scene, parameters: Parameters, candidates:
 
 
 def fit_pixels(
-    job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "2 4 4"]
+    job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "slot 4 4"]
 ) -> Refined:
     """The fit that shows which pixels differ: at half of the final resolution."""
     observation = cropped(observe(job))
@@ -146,6 +150,9 @@ def estimate_of(
     """Puts a belief into words and figures; without a choice nothing was estimated."""
     jacobians = parameters.pose_jacobians(belief.state)
     rivals = choice.rivals if choice else ()
+    offsets = parameters.joint_offsets(belief.state).tolist()
+    objects = parameters.object_poses(belief.state)
+    range_offset, range_scale = parameters.range_error(belief.state).tolist()
     if choice is None:
         status, message = _status_of_nominal(parameters, belief, comparisons)
     else:
@@ -156,10 +163,15 @@ def estimate_of(
         message=message,
         names=parameters.names,
         covariance=belief.covariance,
-        T_world_base=belief.state[0],
-        T_link_sensor=belief.state[1],
+        T_world_base=belief.state[BASE],
+        T_link_sensor=belief.state[MOUNT],
         Ts_world_sensor=parameters.sensor_poses(belief.state),
         pose_covariances=gaussian.moved_covariance(belief.covariance, jacobians),
+        joint_offsets=dict(zip(parameters.joint_names, offsets, strict=True)),
+        Ts_world_object=dict(zip(parameters.object_names, objects, strict=True)),
+        range_offset=range_offset,
+        range_scale=range_scale,
+        moved=moved_objects(parameters, belief) if choice else (),
         sigma_scale=belief.sigma_scale,
         drift_sigma=belief.drift_sigma,
         drift_pixels=belief.drift_pixels,
@@ -170,6 +182,21 @@ def estimate_of(
             for state, score in rivals
         ),
     )
+
+
+def moved_objects(parameters: Parameters, belief: Belief) -> tuple[str, ...]:
+    """The unknown objects that are not where the model has them, by a chi-square test."""
+    step = parameters.difference(belief.state, parameters.nominal)
+    moved = []
+    for name, rows in zip(parameters.object_names, parameters.object_jacobians, strict=True):
+        own = rows.any(0)
+        if not own.any():
+            continue
+        P = belief.covariance[own][:, own]
+        distance = float(step[own] @ torch.linalg.pinv(P, hermitian=True) @ step[own])
+        if chi2.sf(distance, int(own.sum())) < CHANCE:
+            moved.append(name)
+    return tuple(moved)
 
 
 def _status(
@@ -185,7 +212,8 @@ def _status(
     moved = parameters.difference(belief.state, parameters.nominal) / parameters.prior_sigma
     if (moved.abs() > FARTHEST).any():
         return Status.FAILED
-    if not poses_are_told(belief.covariance, parameters, jacobians):
+    poses = torch.cat([jacobians, parameters.object_jacobians])
+    if not poses_are_told(belief.covariance, parameters, poses):
         return Status.UNOBSERVABLE
     return Status.AMBIGUOUS if choice.rivals else Status.CONVERGED
 
@@ -218,7 +246,7 @@ def _message(status: Status, rivals: int) -> str:
         Status.CONVERGED: "The model explains the images; the estimated pose can be used.",
         Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "
         "without knowing which is right.",
-        Status.UNOBSERVABLE: "The images leave the sensor's pose open in some direction: what is "
+        Status.UNOBSERVABLE: "The images leave a pose open in some direction: what is "
         "given there comes from the prior.",
         Status.FAILED: "No pose near the nominal one explains all images.",
     }[status]

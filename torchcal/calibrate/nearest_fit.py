@@ -26,13 +26,13 @@ WIDENED = 0.25
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Part:
-    """What one frame sees of the bodies that stand in the world, or that the robot carries."""
+    """What one frame sees of bodies that move alike."""
 
     frame: int
     body: int
-    """Any body of the part: all of them move alike."""
+    """One of the bodies."""
     patches: Patches
-    """In the frame that the part stands still in: the world or the robot's base."""
+    """In the frame of that body."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,7 +51,7 @@ class NearestFit:
         observation: Observation,
         surface: Surface,
         parameters: Parameters,
-        state: Float[Tensor, "2 4 4"],
+        state: Float[Tensor, "slot 4 4"],
         *,
         count: int,
         generator: torch.Generator,
@@ -66,7 +66,7 @@ class NearestFit:
             parts=_visible_parts(observation, surface, parameters, state),
         )
 
-    def evaluate(self, states: Float[Tensor, "batch 2 4 4"]) -> NormalEquations:
+    def evaluate(self, states: Float[Tensor, "batch slot 4 4"]) -> NormalEquations:
         """Normal equations of every state, with correspondences found anew (3.5 (1) to (4))."""
         error, jacobian = self._correspondences(states)
         v = torch.where(self.valid, error / self.sigma, torch.nan).flatten(1)
@@ -88,17 +88,15 @@ class NearestFit:
 
     def _correspondences(self, states: Tensor) -> tuple[Tensor, Tensor]:
         """Distances (m) along the normals of the nearest patches, and what predicts them."""
-        sensors = self.parameters.sensor_poses(states)
-        motion = self.parameters.motion(states)
+        poses = self.parameters.bodies_in_sensor(states)
+        motions = [self.parameters.motion(states, k) for k in range(len(self.points))]
         shape = (len(states), *self.points.shape[:2])
         best = self.points.new_full(shape, torch.inf)
         error = self.points.new_zeros(shape)
-        jacobian = self.points.new_zeros(*shape, motion.shape[-1])
+        jacobian = self.points.new_zeros(*shape, len(self.parameters.names))
         for part in self.parts:
             k = part.frame
-            T = sensors[:, k]
-            if self.parameters.on_robot[part.body]:
-                T = se3.inverse(states[:, 0]) @ T
+            T = se3.inverse(poses[:, k, part.body])
             placed = se3.transform(T, self.points[k])
             distance, index = part.patches.nearest(placed)
             normal = part.patches.normals[index] @ T[:, :3, :3]
@@ -109,7 +107,8 @@ class NearestFit:
             closer = distance < best[:, k]
             best[:, k] = torch.where(closer, distance, best[:, k])
             error[:, k] = torch.where(closer, along, error[:, k])
-            row = pulled @ motion[:, k, part.body]
+            row = torch.zeros_like(jacobian[:, k])
+            row[..., self.parameters.active(k)] = pulled @ motions[k][:, part.body]
             jacobian[:, k] = torch.where(closer[..., None], row, jacobian[:, k])
         return error, jacobian
 
@@ -143,7 +142,7 @@ def _visible_parts(
     projection = observation.sensor.projection
     projection = projection.widened(int(WIDENED * max(projection.width, projection.height)))
     Ts_sensor_body = parameters.bodies_in_sensor(state)
-    sensors = parameters.sensor_poses(state)
+    group = parameters.mechanism.moving_alike
     u, v = pixel_grid(projection, dtype=state.dtype, device=state.device)
     rays = projection.rays(u, v)
     parts = []
@@ -157,13 +156,9 @@ def _visible_parts(
         )
         points, normals = (ranges[..., None] * rays)[seen], facets.normal[face[seen]]
         normals = torch.nn.functional.normalize(normals, dim=-1)
-        body = surface.vertex_body[surface.faces[face[seen], 0]]
-        for carried in (False, True):
-            chosen = parameters.on_robot[body] == carried
-            if chosen.any():
-                T = se3.inverse(state[0]) @ sensors[k] if carried else sensors[k]
-                patches = Patches.of(
-                    se3.transform(T, points[chosen]), normals[chosen] @ T[:3, :3].mT
-                )
-                parts.append(_Part(frame=k, body=int(body[chosen][0]), patches=patches))
+        owner = group[surface.vertex_body[surface.faces[face[seen], 0]]]
+        for body in owner.unique().tolist():
+            chosen, T = owner == body, se3.inverse(poses[body])
+            patches = Patches.of(se3.transform(T, points[chosen]), normals[chosen] @ T[:3, :3].mT)
+            parts.append(_Part(frame=k, body=body, patches=patches))
     return tuple(parts)

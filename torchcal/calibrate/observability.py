@@ -11,8 +11,10 @@ from torchcal.geometry import gaussian
 LEFT = 0.5
 """Share of the prior's sigma: where more of it is left, the images said next to nothing."""
 NAMED = 0.3
-"""Components of a unit direction below this are not named."""
-WORDS = {
+"""Parts of a direction below this share of it, in sigmas and in metres, are not named."""
+LEVER = 1.0
+"""m: at this distance a turn and a shift are compared."""
+AXIS_WORDS = {
     "x": "a shift of the {} along x",
     "y": "a shift of the {} along y",
     "z": "a shift of the {} along z",
@@ -26,45 +28,79 @@ BLOCKS = {"base": "base", "mount": "sensor's mount", "sensor": "sensor"}
 def unobservable_directions(
     covariance: Float[Tensor, "parameter parameter"], parameters: Parameters
 ) -> tuple[UnobservableDirection, ...]:
-    """Directions in which the images leave more than half of the prior's sigma."""
+    """Directions in which the images leave more than half of the prior's sigma.
+
+    Where there are several, any mixture of them is as unknown as they are: each of those returned
+    has as few parts as possible.
+    """
     if not parameters.names:
         return ()
     ratio, direction = gaussian.left_over(covariance, parameters.prior_sigma)
     return tuple(
-        UnobservableDirection(
-            words=_words(direction[:, i], parameters.names), vector=direction[:, i]
-        )
-        for i in range(len(ratio))
-        if ratio[i] > LEFT
+        UnobservableDirection(words=_words(vector, parameters), vector=vector)
+        for vector in sparse_basis(direction[:, ratio > LEFT].mT)
     )
 
 
-def _words(direction: Tensor, names: tuple[str, ...]) -> str:
-    named = [
-        WORDS[axis].format(BLOCKS[block])
-        for name, share in zip(names, direction.tolist(), strict=True)
-        if abs(share) > NAMED
-        for block, axis in [name.split(".")]
-    ]
-    if len(named) == 1:
-        return f"{named[0]} cannot be told from these images"
-    return f"{', '.join(named[:-1])} and {named[-1]} cannot be told apart in these images"
+def sparse_basis(vectors: Float[Tensor, "vector n"]) -> Float[Tensor, "vector n"]:
+    """Unit vectors that span the same space, each 0 where another has its largest part.
+
+    Args:
+        vectors: Linearly independent.
+    """
+    basis = vectors.clone()
+    for row in range(len(basis)):
+        place = int(basis[row:].abs().argmax())
+        pivot, column = row + place // basis.shape[1], place % basis.shape[1]
+        basis[[row, pivot]] = basis[[pivot, row]]
+        basis[row] /= basis[row, column].clone()
+        others = torch.arange(len(basis), device=basis.device) != row
+        basis[others] -= basis[others, column, None] * basis[row]
+    return torch.nn.functional.normalize(basis, dim=-1)
+
+
+def _words(direction: Tensor, parameters: Parameters) -> str:
+    effect = direction * parameters.prior_sigma * LEVER
+    named = (direction.abs() > NAMED) | (effect.abs() > NAMED * effect.abs().max())
+    words = [parameter_words(parameters.names[i]) for i in named.nonzero()[:, 0].tolist()]
+    if len(words) == 1:
+        return f"{words[0]} cannot be told from these images"
+    return f"{', '.join(words[:-1])} and {words[-1]} cannot be told apart in these images"
+
+
+def parameter_words(name: str) -> str:
+    """A parameter's name as a person says it."""
+    block, _, rest = name.partition(".")
+    if block == "joints":
+        return f"the offset of joint {rest}"
+    if block == "range":
+        return f"the {rest} of the sensor's range"
+    owner, _, axis = name.rpartition(".")
+    if block == "frames":
+        return AXIS_WORDS[axis].format(f"sensor in frame {rest.removesuffix(f'.{axis}')}")
+    thing = BLOCKS.get(owner) or owner.removeprefix("objects.")
+    return AXIS_WORDS[axis].format(thing)
 
 
 def poses_are_told(
     covariance: Float[Tensor, "parameter parameter"],
     parameters: Parameters,
-    pose_jacobians: Float[Tensor, "frame 6 parameter"],
+    jacobians: Float[Tensor, "pose 6 parameter"],
 ) -> bool:
-    """Whether the images leave at most half of the prior's sigma in every frame's sensor pose.
+    """Whether the images leave at most half of the prior's sigma in every pose.
 
-    Where no sensor pose depends on the unknowns, it is asked of the unknowns themselves: a robot's
-    base before a sensor that stands still.
+    Where no pose depends on the unknowns, it is asked of the unknowns themselves: a robot's base
+    before a sensor that stands still.
+
+    Args:
+        covariance: P of eq. 3.
+        parameters: What was unknown.
+        jacobians: Of the frames' sensor poses and of the unknown objects.
     """
-    if not pose_jacobians.any():
+    if not jacobians.any():
         return not unobservable_directions(covariance, parameters)
     prior = torch.diag(parameters.prior_sigma.square())
-    for J in pose_jacobians:
+    for J in jacobians:
         before, after = (gaussian.moved_covariance(P, J) for P in (prior, covariance))
         # Metres and radians are made alike by what the prior says of each axis.
         scale = before.diagonal().clamp(min=1e-18).rsqrt()

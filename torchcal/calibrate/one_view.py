@@ -6,8 +6,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchcal.calibrate.mechanism import Mechanism
 from torchcal.calibrate.observation import Observation, coarser, near_jumps, observed
 from torchcal.calibrate.parameters import AXES, Parameters
+from torchcal.calibrate.slots import Slots
 from torchcal.geometry import se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.match.prior_gate import Prior
@@ -71,20 +73,28 @@ def free_sensor(prior: Prior, Ts_world_body: Float[Tensor, "body 4 4"]) -> Param
     """The sensor's pose as the only unknown, with the prior's variances along its axes."""
     T = prior.T_world_sensor.double()
     eye = torch.eye(12, dtype=T.dtype, device=T.device)
-    bodies = len(Ts_world_body)
+    alone = Mechanism(
+        slots=Slots(),
+        robot=None,
+        joints=eye.new_zeros(1, 0),
+        carrier=None,
+        standing=False,
+        Ts_first_frame=eye[None, :4, :4],
+        Ts_world_body=Ts_world_body,
+        link=torch.full((len(Ts_world_body),), -1, device=T.device),
+        Ts_centre_object=eye.new_zeros(0, 4, 4),
+    )
     return Parameters(
         names=tuple(f"sensor.{axis}" for axis in AXES),
+        units=("m", "m", "m", "rad", "rad", "rad"),
         prior_sigma=prior.covariance.double().diagonal().sqrt(),
         columns=eye[:, :6],
         nominal=as_states(T),
-        standing=False,
-        Ts_base_carrier=eye[None, :4, :4],
-        Ts_anchor_body=Ts_world_body[None],
-        on_robot=torch.zeros(bodies, dtype=torch.bool, device=T.device),
+        mechanism=alone,
     )
 
 
-def as_states(T_world_sensor: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 2 4 4"]:
+def as_states(T_world_sensor: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch slot 4 4"]:
     """States of ``free_sensor``."""
     eye = torch.eye(4).to(T_world_sensor).expand_as(T_world_sensor)
     return torch.stack([T_world_sensor, eye], -3)

@@ -1,21 +1,27 @@
-"""The unknown parameter vector q (eq. 3): its named parts, what they move, and their prior.
+"""The unknown parameter vector q (eq. 3): its named parts, their prior, and what they move.
 
-A state is ``(T_world_base, T_link_sensor)`` as ``(*batch, 2, 4, 4)``. Every step is a twist on the
-right of each. Without a robot the base is the first frame's sensor pose and the mount is the
-identity, so that T_k = T_1 exp(xi) T_1^-1 T_k falls out of the same product.
+A state is a row of rigid motions, ``(*batch, slot, 4, 4)``, as ``mechanism`` describes it. Without
+a robot the base is the first frame's sensor pose and the mount is the identity, so that
+T_k = T_1 exp(xi) T_1^-1 T_k falls out of the same product.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchcal.calibrate.mechanism import Mechanism, centre_of
+from torchcal.calibrate.slots import BASE, MOUNT, Slots
 from torchcal.geometry import se3
-from torchcal.model.job import WORLD_LINK, Job
-from torchcal.model.scene import Scene, body_poses
+from torchcal.model.job import Job, PosePrior
+from torchcal.model.scene import Scene
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+Unit = Literal["m", "rad", "1"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,137 +29,188 @@ class Parameters:
     """Names, prior and kinematics of everything that may be wrong in a job."""
 
     names: tuple[str, ...]
+    """``base.x`` .., ``joints.NAME``, ``mount.x`` .., ``objects.NAME.x`` .., ``range.offset``,
+    ``range.scale``, ``frames.1.x`` ..: those that are not held."""
+    units: tuple[Unit, ...]
     prior_sigma: Float[Tensor, " parameter"]
-    """m, rad"""
-    columns: Float[Tensor, "12 parameter"]
-    """Unit columns: which axes of the base's and the mount's twist are free."""
-    nominal: Float[Tensor, "2 4 4"]
-    standing: bool
-    """The sensor stands still in the world: its pose is the mount alone."""
-    Ts_base_carrier: Float[Tensor, "frame 4 4"]
-    """Pose in the base of what carries the sensor, for each frame."""
-    Ts_anchor_body: Float[Tensor, "frame body 4 4"]
-    """Pose of each body in the world, or in the base if the base carries it."""
-    on_robot: Bool[Tensor, " body"]
+    """In ``units``."""
+    columns: Float[Tensor, "twist parameter"]
+    """Unit columns: which axes of the slots' twists are free."""
+    nominal: Float[Tensor, "slot 4 4"]
+    mechanism: Mechanism
+    joint_names: tuple[str, ...] = ()
+    """Of ``mechanism.slots.joints``."""
+    object_names: tuple[str, ...] = ()
+    """Of ``mechanism.slots.objects``."""
 
     @staticmethod
     def of(job: Job, scene: Scene) -> "Parameters":
         """The parameters that the job declares unknown."""
-        names, sigmas, columns = _free_axes(job)
-        base = job.T_world_base if job.robot else _frame_pose(job, 0)
+        slots = _slots(job, scene)
+        names, sigmas, columns = _free(job, slots)
         return Parameters(
             names=names,
+            units=tuple(_unit(name, job) for name in names),
             prior_sigma=sigmas,
             columns=columns,
-            nominal=torch.stack([base, job.T_link_sensor]),
-            standing=job.link == WORLD_LINK,
-            Ts_base_carrier=_carriers(job),
-            Ts_anchor_body=_anchored_bodies(job, scene),
-            on_robot=torch.tensor(
-                [body.link is not None for body in scene.bodies], device=base.device
-            ),
+            nominal=_nominal(job, scene, slots),
+            mechanism=Mechanism.of(job, scene, slots),
+            joint_names=tuple(job.joints),
+            object_names=tuple(job.objects),
         )
 
     def retract(
-        self, state: Float[Tensor, "*batch 2 4 4"], step: Float[Tensor, "*batch parameter"]
-    ) -> Float[Tensor, "*batch 2 4 4"]:
-        """Moves base and mount by a step of the parameters: T exp(xi)."""
-        twists = (step @ self.columns.mT).unflatten(-1, (2, 6))
+        self, state: Float[Tensor, "*batch slot 4 4"], step: Float[Tensor, "*batch parameter"]
+    ) -> Float[Tensor, "*batch slot 4 4"]:
+        """Moves a state by a step of the parameters: T exp(xi) in every slot."""
+        twists = (step @ self.columns.mT).unflatten(-1, (-1, 6))
         return state @ se3.exp(twists)
 
     def difference(
-        self, state: Float[Tensor, "*#batch 2 4 4"], origin: Float[Tensor, "*#batch 2 4 4"]
+        self, state: Float[Tensor, "*#batch slot 4 4"], origin: Float[Tensor, "*#batch slot 4 4"]
     ) -> Float[Tensor, "*batch parameter"]:
         """The parameters that lead from one state to another."""
         twists = se3.log(se3.inverse(origin) @ state).flatten(-2)
         return twists @ self.columns
 
+    def with_base(
+        self, Ts_world_base: Float[Tensor, "*batch 4 4"]
+    ) -> Float[Tensor, "*batch slot 4 4"]:
+        """The nominal state with other bases; without a robot, poses of the first frame."""
+        state = self.nominal.expand(*Ts_world_base.shape[:-2], *self.nominal.shape).clone()
+        state[..., BASE, :, :] = Ts_world_base
+        return state
+
     def sensor_poses(
-        self, state: Float[Tensor, "*batch 2 4 4"]
+        self, state: Float[Tensor, "*batch slot 4 4"]
     ) -> Float[Tensor, "*batch frame 4 4"]:
         """``Ts_world_sensor`` of all frames."""
-        base, mount = state[..., None, 0, :, :], state[..., None, 1, :, :]
-        if self.standing:
-            return mount.expand(*state.shape[:-3], len(self.Ts_base_carrier), 4, 4)
-        return base @ self.Ts_base_carrier @ mount
+        return self.mechanism.sensor_poses(state)
 
     def bodies_in_sensor(
-        self, state: Float[Tensor, "*batch 2 4 4"]
+        self, state: Float[Tensor, "*batch slot 4 4"]
     ) -> Float[Tensor, "*batch frame body 4 4"]:
         """``Ts_sensor_body`` of all frames and bodies."""
         T_sensor_world = se3.inverse(self.sensor_poses(state))[..., :, None, :, :]
-        base = state[..., None, None, 0, :, :]
-        on_robot = self.on_robot[:, None, None]
-        Ts_world_body = torch.where(on_robot, base @ self.Ts_anchor_body, self.Ts_anchor_body)
-        return T_sensor_world @ Ts_world_body
+        return T_sensor_world @ self.mechanism.bodies(state)
 
     def motion(
-        self, state: Float[Tensor, "*batch 2 4 4"]
-    ) -> Float[Tensor, "*batch frame body 6 parameter"]:
-        """How each body moves in the sensor's frame: left twist per unit of each parameter."""
-        world, robot = self._base_motion(state)
-        mount = -torch.eye(6, dtype=state.dtype, device=state.device).expand_as(world)
-        motions = [torch.cat([base, mount], -1) @ self.columns for base in (world, robot)]
-        on_robot = self.on_robot[:, None, None]
-        return torch.where(on_robot, motions[1][..., None, :, :], motions[0][..., None, :, :])
+        self, state: Float[Tensor, "*batch slot 4 4"], frame: int
+    ) -> Float[Tensor, "*batch body 6 active"]:
+        """How each body moves in a frame's sensor: left twist per unit of the active parameters."""
+        T_sensor_world = se3.inverse(self.sensor_poses(state)[..., frame, :, :])
+        sensor = self.mechanism.sensor_twists(state, frame)[..., None, :, :]
+        moved = self.mechanism.body_twists(state, frame) - sensor
+        turned = se3.adjoint(T_sensor_world)[..., None, :, :] @ moved
+        return turned @ self.columns[:, self.active(frame)]
 
-    def _base_motion(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Motion of the world and of the robot in the sensor's frame with the base's twist."""
-        base, mount = state[..., None, 0, :, :], state[..., None, 1, :, :]
-        if self.standing:
-            robot = se3.adjoint(se3.inverse(mount) @ base)
-            robot = robot.expand(*robot.shape[:-3], len(self.Ts_base_carrier), 6, 6)
-            return torch.zeros_like(robot), robot
-        world = -se3.adjoint(se3.inverse(self.Ts_base_carrier @ mount))
-        return world, torch.zeros_like(world)
+    def active(self, frame: int) -> Int[Tensor, " active"]:
+        """The parameters that a frame's image may depend on: all but errors of other frames."""
+        frames = self.mechanism.slots.of_frames
+        others = [slot for slot in range(frames.start, frames.stop) if slot != frames.start + frame]
+        of_others = self.columns.unflatten(0, (-1, 6))[others].any(0).any(0)
+        return (~of_others).nonzero()[:, 0]
 
     def pose_jacobians(
-        self, state: Float[Tensor, "*batch 2 4 4"]
+        self, state: Float[Tensor, "*batch slot 4 4"]
     ) -> Float[Tensor, "*batch frame 6 parameter"]:
         """Twist on the right of each ``T_world_sensor`` per unit of each parameter."""
-        world, _ = self._base_motion(state)
-        mount = torch.eye(6, dtype=state.dtype, device=state.device).expand_as(world)
-        return torch.cat([-world, mount], -1) @ self.columns
+        poses = self.sensor_poses(state)
+        frames = range(poses.shape[-3])
+        left = torch.stack([self.mechanism.sensor_twists(state, k) for k in frames], -3)
+        return se3.adjoint(se3.inverse(poses)) @ left @ self.columns
+
+    @property
+    def object_jacobians(self) -> Float[Tensor, "object 6 parameter"]:
+        """Twist on the right of each unknown object's centre per unit of each parameter."""
+        return self.columns.unflatten(0, (-1, 6))[self.mechanism.slots.of_objects]
+
+    def joint_offsets(
+        self, state: Float[Tensor, "*batch slot 4 4"]
+    ) -> Float[Tensor, "*batch offset"]:
+        """The offsets (rad, m) of ``mechanism.slots.joints``."""
+        return state[..., self.mechanism.slots.of_joints, 0, 3]
+
+    def object_poses(
+        self, state: Float[Tensor, "*batch slot 4 4"]
+    ) -> Float[Tensor, "*batch object 4 4"]:
+        """``Ts_world_object`` of ``mechanism.slots.objects``."""
+        centres = state[..., self.mechanism.slots.of_objects, :, :]
+        return centres @ self.mechanism.Ts_centre_object
+
+    def range_error(self, state: Float[Tensor, "*batch slot 4 4"]) -> Float[Tensor, "*batch 2"]:
+        """Offset (m) and scale of the sensor: z_measured = offset + (1 + scale) z."""
+        if not self.mechanism.slots.ranges:
+            return state.new_zeros(*state.shape[:-3], 2)
+        return state[..., self.mechanism.slots.of_ranges, 0, 3]
+
+    @property
+    def range_parameters(self) -> tuple[int | None, int | None]:
+        """The places of offset and scale among the parameters; None where one is not free."""
+        places = {name: place for place, name in enumerate(self.names)}
+        return places.get("range.offset"), places.get("range.scale")
 
 
-def _free_axes(job: Job) -> tuple[tuple[str, ...], Tensor, Tensor]:
-    names, sigmas, columns = [], [], []
-    eye = torch.eye(12, dtype=job.T_world_base.dtype, device=job.T_world_base.device)
-    for offset, name, prior in ((0, "base", job.base), (6, "mount", job.mount)):
-        for i, axis in enumerate(AXES):
-            if prior is not None and prior.sigma[i] > 0:
-                names.append(f"{name}.{axis}")
-                sigmas.append(prior.sigma[i])
-                columns.append(eye[offset + i])
-    if not names:
-        return (), eye.new_zeros(0), eye[:, :0]
-    return tuple(names), torch.stack(sigmas).to(eye), torch.stack(columns, -1)
+def _slots(job: Job, scene: Scene) -> Slots:
+    robot = job.robot
+    return Slots(
+        joints=tuple(robot.joint_names.index(name) for name in job.joints) if robot else (),
+        objects=tuple(scene.body_index(name) for name in job.objects),
+        frames=len(job.frames) if job.frame_poses is not None else 0,
+        ranges=2 if job.range is not None else 0,
+    )
 
 
-def _frame_pose(job: Job, index: int) -> Tensor:
-    T = job.frames[index].T_world_sensor
-    assert T is not None, "a job without a robot gives every frame a pose"
-    return T
+def _nominal(job: Job, scene: Scene, slots: Slots) -> Float[Tensor, "slot 4 4"]:
+    first = job.frames[0].T_world_sensor
+    state = torch.eye(4).to(job.T_world_base).repeat(slots.count, 1, 1)
+    state[BASE] = job.T_world_base if job.robot is not None or first is None else first
+    state[MOUNT] = job.T_link_sensor
+    known = {item.name: item.T_world_object for item in job.world.objects} if job.world else {}
+    for place, name in enumerate(job.objects):
+        centre = torch.eye(4).to(state)
+        centre[:3, 3] = centre_of(scene, slots.objects[place])
+        state[slots.of_objects.start + place] = known[name].to(state) @ centre
+    return state
 
 
-def _joints(job: Job) -> Tensor:
-    return torch.stack([frame.joints for frame in job.frames if frame.joints is not None])
+def _free(job: Job, slots: Slots) -> tuple[tuple[str, ...], Tensor, Tensor]:
+    """Names, sigmas and columns of everything with a sigma above 0."""
+    like = job.T_world_base
+    free = [(name, place, sigma) for name, place, sigma in _sigmas(job, slots) if sigma > 0]
+    columns = like.new_zeros(6 * slots.count, len(free))
+    for parameter, (_, place, _) in enumerate(free):
+        columns[place, parameter] = 1.0
+    sigmas = torch.tensor([sigma for _, _, sigma in free], dtype=like.dtype, device=like.device)
+    return tuple(name for name, _, _ in free), sigmas, columns
 
 
-def _carriers(job: Job) -> Tensor:
-    """Poses in the base of what carries the sensor, frame by frame."""
-    if job.robot is None:
-        first = se3.inverse(_frame_pose(job, 0))
-        return torch.stack([first @ _frame_pose(job, k) for k in range(len(job.frames))])
-    if job.link is None or job.link == WORLD_LINK:
-        return torch.eye(4).to(job.T_world_base).expand(len(job.frames), 4, 4)
-    links = job.robot.forward_kinematics(_joints(job))
-    return links[:, job.robot.link_index(job.link)]
+def _sigmas(job: Job, slots: Slots) -> Iterator[tuple[str, int, float]]:
+    """Name, place among the twists of a state and sigma of everything that may be unknown."""
+    yield from _of_pose("base", BASE, job.base)
+    for place, (name, sigma) in enumerate(job.joints.items()):
+        yield f"joints.{name}", 6 * (slots.of_joints.start + place), sigma
+    yield from _of_pose("mount", MOUNT, job.mount)
+    for place, (name, prior) in enumerate(job.objects.items()):
+        yield from _of_pose(f"objects.{name}", slots.of_objects.start + place, prior)
+    if job.range is not None:
+        first = 6 * slots.of_ranges.start
+        yield "range.offset", first, job.range.offset_sigma
+        yield "range.scale", first + 6, job.range.scale_sigma
+    for k in range(slots.frames):
+        yield from _of_pose(f"frames.{k + 1}", slots.of_frames.start + k, job.frame_poses)
 
 
-def _anchored_bodies(job: Job, scene: Scene) -> Tensor:
-    """Poses of the bodies in the world, or in the base of the robot that they belong to."""
-    origin = torch.eye(4).to(job.T_world_base)
-    joints = None if job.robot is None else _joints(job)
-    poses = body_poses(scene, job.world, job.robot, origin, joints)
-    return poses.expand(len(job.frames), -1, 4, 4)
+def _unit(name: str, job: Job) -> Unit:
+    block, _, rest = name.partition(".")
+    if block == "joints" and job.robot is not None:
+        return job.robot.joint_unit(rest)
+    if name == "range.scale":
+        return "1"
+    return "rad" if rest.rpartition(".")[2] in AXES[3:] else "m"
+
+
+def _of_pose(name: str, slot: int, prior: PosePrior | None) -> Iterator[tuple[str, int, float]]:
+    sigmas = [] if prior is None else prior.sigma.tolist()
+    for place, (axis, sigma) in enumerate(zip(AXES, sigmas, strict=False)):
+        yield f"{name}.{axis}", 6 * slot + place, sigma

@@ -51,16 +51,16 @@ def calibrate(
         progress: Called at the beginning and the end of each stage.
     """
     stages = _Stages(progress=progress)
-    states = None
+    bases = None
     if estimate and job.initial == "anywhere":
         with stages.stage("look everywhere"):
             located = locate(job, generator)
-            job, states = located.job, located.states
+            job, bases = located.job, located.Ts_world_base
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     belief, choice = nominal_belief(job, parameters), None
     if estimate and parameters.names:
-        belief, choice = _estimated(job, scene, parameters, generator, states, stages)
+        belief, choice = _estimated(job, scene, parameters, generator, bases, stages)
     with stages.stage("compare"):
         belief, comparisons = compare(job, scene, parameters, belief)
     result = estimate_of(parameters, belief, choice, comparisons)
@@ -71,6 +71,7 @@ def calibrate(
             scene.bodies,
             result.Ts_world_sensor,
             correlation_pixels=belief.drift_pixels,
+            moved={name: result.Ts_world_object[name] for name in result.moved},
         )
     return Calibration(
         job=job, estimate=result, comparisons=comparisons, update=update, timing=stages.timing
@@ -96,15 +97,15 @@ def _estimated(
     scene: Scene,
     parameters: Parameters,
     generator: torch.Generator,
-    states: Float[Tensor, "state 2 4 4"] | None,
+    bases: Float[Tensor, "start 4 4"] | None,
     stages: "_Stages",
 ) -> tuple[Belief, Choice]:
     """Section 3: start, fit, set aside what differs, fit the rest."""
     with stages.stage("find a start"):
-        if states is None:
+        if bases is None:
             choice = choose_start(job, scene, parameters, generator)
         else:
-            choice = choose_found(job, scene, parameters, states)
+            choice = choose_found(job, scene, parameters, parameters.with_base(bases))
     with stages.stage("fit every pixel"):
         refined = fit_pixels(job, scene, parameters, choice.state)
     with stages.stage("set aside what differs"):

@@ -96,12 +96,12 @@ def block_side(beam: int, longest: int) -> int:
     return min(range(longest, min(longest, 2) - 1, -1), key=misfit)
 
 
-def refined(fit: RangeFit, states: Float[Tensor, "state 2 4 4"]) -> Solution:
+def refined(fit: RangeFit, states: Float[Tensor, "state slot 4 4"]) -> Solution:
     """Where the states end that start within about a block of pixels of their minima."""
     return _fitted(fit, states, COARSE)
 
 
-def agreement(fit: RangeFit, state: Float[Tensor, "2 4 4"]) -> float:
+def agreement(fit: RangeFit, state: Float[Tensor, "slot 4 4"]) -> float:
     """Share of the measured pixels of a fit within the noise of what the state predicts."""
     agree = sum(
         int(((f.residual.abs() <= AGREEING * _expected(fit.observation, k)) & f.compared).sum())

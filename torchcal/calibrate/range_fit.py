@@ -4,14 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.calibrate.observation import Observation
 from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift
-from torchcal.render.synthesis import synthesise
 from torchcal.solve.field import SmoothField
 from torchcal.solve.gauss_newton import NormalEquations
 from torchcal.solve.image_equations import RobustImage, normal_equations, robust_image
@@ -29,7 +29,10 @@ class FrameResidual:
     compared: Bool[Tensor, "h w"]
     """Where both measurement and model are there."""
     sigma: Float[Tensor, "h w"]
-    jacobian: Float[Tensor, "h w parameter"]
+    jacobian: Float[Tensor, "h w active"]
+    """Derivative of what is predicted."""
+    active: Int[Tensor, " active"]
+    """The parameters of ``jacobian``; the image does not depend on others."""
     missed: int
     """Measured pixels where the model is empty."""
 
@@ -48,7 +51,7 @@ class RangeFit:
     sigma_scale: float = 1.0
     """Independent noise over the sensor's sigma."""
 
-    def evaluate(self, states: Float[Tensor, "batch 2 4 4"]) -> NormalEquations:
+    def evaluate(self, states: Float[Tensor, "batch slot 4 4"]) -> NormalEquations:
         """Normal equations of every state: all frames and the prior."""
         elements = [self._evaluate_one(state) for state in states]
         return NormalEquations(
@@ -57,25 +60,25 @@ class RangeFit:
             gradient=torch.cat([e.gradient for e in elements]),
         )
 
-    def residuals(self, state: Float[Tensor, "2 4 4"]) -> Iterator[FrameResidual]:
+    def residuals(self, state: Float[Tensor, "slot 4 4"]) -> Iterator[FrameResidual]:
         """Residuals frame by frame, so that one frame's derivatives are held at a time."""
-        poses = self.parameters.bodies_in_sensor(state).to(self.observation.range)
-        motions = self.parameters.motion(state).to(self.observation.range)
-        for k in range(len(poses)):
-            yield self._frame_residual(k, poses[k], motions[k])
+        sensor, dtype = self.observation.sensor, self.observation.range.dtype
+        frames = predictions(self.surface, sensor, self.parameters, state, dtype=dtype)
+        for k, prediction in enumerate(frames):
+            yield self._frame_residual(k, prediction)
 
-    def _frame_residual(self, k: int, poses: Tensor, motion: Tensor) -> FrameResidual:
+    def _frame_residual(self, k: int, prediction: Prediction) -> FrameResidual:
         observation = self.observation
-        synthesis = synthesise(self.surface, poses, observation.sensor, motion)
-        assert synthesis.jacobian is not None, "a motion was given"
-        finite = synthesis.range.isfinite() & synthesis.jacobian.isfinite().all(-1)
-        compared = observation.measured[k] & (synthesis.coverage > FILLED) & finite
-        residual = torch.where(compared, observation.range[k] - synthesis.range, 0.0)
+        finite = prediction.range.isfinite() & prediction.jacobian.isfinite().all(-1)
+        filled = prediction.synthesis.coverage > FILLED
+        compared = observation.measured[k] & filled & finite
+        residual = torch.where(compared, observation.range[k] - prediction.range, 0.0)
         return FrameResidual(
             residual=residual,
             compared=compared,
             sigma=observation.sigma[k] * self.sigma_scale,
-            jacobian=torch.where(compared[..., None], synthesis.jacobian, 0.0),
+            jacobian=torch.where(compared[..., None], prediction.jacobian, 0.0),
+            active=prediction.active,
             missed=int((observation.measured[k] & ~compared).sum()),
         )
 
@@ -86,10 +89,11 @@ class RangeFit:
             information, gradient = normal_equations(image, frame.jacobian)
             # A pixel that the model leaves empty explains no more than one beyond the cut-off.
             missed = frame.missed * self.cutoff**2 / 6.0
+            count = len(self.parameters.names)
             total = NormalEquations(
                 cost=total.cost + image.cost + missed,
-                information=total.information + information,
-                gradient=total.gradient + gradient,
+                information=total.information + embedded(information, frame.active, count),
+                gradient=total.gradient.index_add(1, frame.active, gradient[None]),
             )
         return total
 
@@ -116,3 +120,12 @@ class RangeFit:
         return robust_image(
             frame.residual, frame.sigma, frame.compared, cutoff=self.cutoff, field=field
         )
+
+
+def embedded(
+    matrix: Float[Tensor, "active active"], active: Int[Tensor, " active"], count: int
+) -> Float[Tensor, "parameter parameter"]:
+    """A frame's matrix among all ``count`` parameters; 0 for those that it does not depend on."""
+    whole = matrix.new_zeros(count, count)
+    whole[active[:, None], active] = matrix
+    return whole

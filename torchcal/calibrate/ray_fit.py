@@ -25,17 +25,17 @@ class RayFit:
     tolerance: float
     """m: what a range may be off by beside its noise, far from the solution."""
 
-    def costs(self, states: Float[Tensor, "batch 2 4 4"]) -> Float[Tensor, " batch"]:
+    def costs(self, states: Float[Tensor, "batch slot 4 4"]) -> Float[Tensor, " batch"]:
         """The robust cost of every state, without derivatives."""
         poses = self.parameters.bodies_in_sensor(states)[:, 0].to(self.observation.range)
         synthesis = synthesise(self.surface, poses, self.observation.sensor)
         return self._cost(*self._whitened(synthesis.range))
 
-    def evaluate(self, states: Float[Tensor, "batch 2 4 4"]) -> NormalEquations:
+    def evaluate(self, states: Float[Tensor, "batch slot 4 4"]) -> NormalEquations:
         """Normal equations of every state: the image and the prior."""
         like = self.observation.range
         poses = self.parameters.bodies_in_sensor(states)[:, 0].to(like)
-        motion = self.parameters.motion(states)[:, 0].to(like)
+        motion = self.parameters.motion(states, 0).to(like)
         synthesis = synthesise(self.surface, poses, self.observation.sensor, motion)
         assert synthesis.jacobian is not None, "a motion was given"
         v, sigma = self._whitened(synthesis.range)

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchcal.calibrate.noise import COEFFICIENTS, NoiseModel, correlation, noise_model
 from torchcal.calibrate.observation import Observation, coarser
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.range_fit import RangeFit, embedded
 from torchcal.geometry import robust
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift
@@ -49,7 +49,7 @@ BLOCK = 24
 class Refined:
     """A state on one resolution and what was learnt there."""
 
-    state: Float[Tensor, "2 4 4"]
+    state: Float[Tensor, "slot 4 4"]
     fit: RangeFit
     """With the noise model that was used."""
     factor: int
@@ -75,7 +75,7 @@ def coarse_fit(
     observation: Observation,
     surface: Surface,
     parameters: Parameters,
-    states: Float[Tensor, "candidate 2 4 4"],
+    states: Float[Tensor, "candidate slot 4 4"],
 ) -> Solution:
     """First fits of all candidates on coarse images, at one cut-off so that costs compare."""
     fit = RangeFit(
@@ -105,7 +105,7 @@ def fine_fit(
     observation: Observation,
     surface: Surface,
     parameters: Parameters,
-    state: Float[Tensor, "2 4 4"],
+    state: Float[Tensor, "slot 4 4"],
     *,
     factor: int,
 ) -> Refined:
@@ -136,7 +136,7 @@ def fine_fit(
     return Refined(state=solution.state[0], fit=fit, factor=factor, solution=solution)
 
 
-def with_noise(fit: RangeFit, state: Float[Tensor, "2 4 4"], factor: int) -> RangeFit:
+def with_noise(fit: RangeFit, state: Float[Tensor, "slot 4 4"], factor: int) -> RangeFit:
     """The fit with the efficient cut-off and the noise that its own residuals show."""
     known = fit.observation.sensor.noise.drift
     if known is not None:
@@ -215,7 +215,8 @@ def _curvature(refined: Refined) -> float:
     signs[1, ::2] = -1.0
     root = vector * value.clamp(min=1e-12).rsqrt()
     steps = PROBE / len(value) ** 0.5 * signs @ root.mT
-    states = parameters.retract(refined.state.expand(4, 2, 4, 4), torch.cat([steps, -steps]))
+    states = refined.state.expand(4, *refined.state.shape)
+    states = parameters.retract(states, torch.cat([steps, -steps]))
     gradient = refined.fit.evaluate(states).gradient
     fell = 0.5 * ((gradient[2:] - gradient[:2]) * steps).sum()
     expected = ((steps @ information) * steps).sum()
@@ -234,7 +235,8 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
     for frame in fit.residuals(refined.state):
         image = fit.separate(frame)
         length = fit.drift.pixels if fit.drift is not None else 0.0
-        scatter = scatter + blockwise_scatter(image, frame.jacobian, max(BLOCK, int(3 * length)))
+        own = blockwise_scatter(image, frame.jacobian, max(BLOCK, int(3 * length)))
+        scatter = scatter + embedded(own, frame.active, len(scatter))
     prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
     information = refined.solution.equations.information[0] - prior
     excess = (covariance(information) @ scatter).diagonal().mean().nan_to_num(1.0)

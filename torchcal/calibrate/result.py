@@ -1,5 +1,6 @@
 """What a calibration finds: the estimate, the comparison and the update, as frozen data."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -69,6 +70,15 @@ class Estimate:
     Ts_world_sensor: Float[Tensor, "frame 4 4"]
     pose_covariances: Float[Tensor, "frame 6 6"]
     """Of the twist on the right of each ``Ts_world_sensor``."""
+    joint_offsets: Mapping[str, float]
+    """rad or m: what must be added to the values of the joints that were unknown."""
+    Ts_world_object: Mapping[str, Float[Tensor, "4 4"]]
+    """Of the objects whose pose was unknown."""
+    range_offset: float
+    """m: z_measured = offset + (1 + scale) z"""
+    range_scale: float
+    moved: tuple[str, ...]
+    """Objects whose pose differs from the model's by more than chance explains."""
     sigma_scale: float
     """How much larger the residuals are than the job's sigma says; at least 1."""
     drift_sigma: float
@@ -111,6 +121,8 @@ class ObjectVerdict:
     agree: int
     seen_through: int
     hidden: int
+    T_world_object: Float[Tensor, "4 4"] | None = None
+    """Where it is now, if it moved."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -166,10 +178,11 @@ class ParameterCheck:
     """How well the images can tell one parameter, at the nominal pose."""
 
     name: str
+    unit: str
+    """``m``, ``rad`` or ``1``"""
     prior_sigma: float
-    """m or rad"""
     expected_sigma: float
-    """What a calibration may be expected to leave of it (m or rad)."""
+    """What a calibration may be expected to leave of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -31,7 +31,7 @@ def find_candidates(
     surface: Surface,
     parameters: Parameters,
     generator: torch.Generator,
-) -> Float[Tensor, "candidate 2 4 4"]:
+) -> Float[Tensor, "candidate slot 4 4"]:
     """States that explain the measured points, the best first; the nominal one if none does."""
     count = max(50, POINTS // len(observation.range))
 
@@ -51,7 +51,7 @@ def find_candidates(
 
 
 def distinct(
-    states: Float[Tensor, "state 2 4 4"], costs: Float[Tensor, " state"], parameters: Parameters
+    states: Float[Tensor, "state slot 4 4"], costs: Float[Tensor, " state"], parameters: Parameters
 ) -> list[Tensor]:
     """The best ``KEPT`` states that are apart from each other, the best first."""
     kept: list[Tensor] = []
@@ -62,7 +62,7 @@ def distinct(
 
 
 def are_apart(
-    state: Float[Tensor, "2 4 4"], other: Float[Tensor, "2 4 4"], parameters: Parameters
+    state: Float[Tensor, "slot 4 4"], other: Float[Tensor, "slot 4 4"], parameters: Parameters
 ) -> bool:
     """Whether states differ by more than ``APART`` prior sigmas or ``FAR`` in some parameter."""
     difference = parameters.difference(state, other) / parameters.prior_sigma
@@ -75,4 +75,4 @@ def _starts(parameters: Parameters, generator: torch.Generator) -> Tensor:
     steps = torch.randn(shape, generator=generator, dtype=torch.float64)
     steps[0] = 0.0
     steps = steps.to(parameters.prior_sigma) * parameters.prior_sigma
-    return parameters.retract(parameters.nominal.expand(STARTS, 2, 4, 4), steps)
+    return parameters.retract(parameters.nominal.expand(STARTS, *parameters.nominal.shape), steps)

@@ -1,7 +1,8 @@
 """The proposed changes of the model (section 2.5): what is gone and what is new."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -45,6 +46,7 @@ def propose_update(
     Ts_world_sensor: Float[Tensor, "frame 4 4"],
     *,
     correlation_pixels: float,
+    moved: Mapping[str, Float[Tensor, "4 4"]],
 ) -> Update:
     """Verdicts on the world's objects, and new objects with meshes made from the range data.
 
@@ -54,6 +56,7 @@ def propose_update(
         scene_bodies: What ``FrameComparison.body`` counts.
         Ts_world_sensor: The estimated pose of each frame.
         correlation_pixels: Correlation length (pixels) of the slowly varying range error, or 0.
+        moved: ``T_world_object`` of those that the estimate has found elsewhere.
 
     Returns:
         Verdicts for every object of the world, none for links of the robot; added objects.
@@ -75,6 +78,7 @@ def propose_update(
         for mask in new_surfaces(frame, found, job.world)
         if (patch := _patch(frame, mask, job.sensor, T)) is not None
     ]
+    verdicts = {name: _moved(verdict, moved.get(name)) for name, verdict in verdicts.items()}
     return Update(verdicts=verdicts, added=merged_objects(patches))
 
 
@@ -130,6 +134,13 @@ def _verdict(agree: int, seen_through: int) -> str:
     if compared < LEAST_EVIDENCE:
         return "unseen"
     return "removed" if seen_through > SEEN_THROUGH_SHARE * compared else "agrees"
+
+
+def _moved(verdict: ObjectVerdict, T_world_object: Tensor | None) -> ObjectVerdict:
+    """An object that the images show where the estimate has it, and not where the model has it."""
+    if T_world_object is None or verdict.verdict != "agrees":
+        return verdict
+    return replace(verdict, verdict="moved", T_world_object=T_world_object)
 
 
 def _union(regions: Sequence[Region], kind: RegionKind, like: Tensor) -> Bool[Tensor, "h w"]:

@@ -107,8 +107,8 @@ def judged(
 
 
 def distinct(
-    states: Float[Tensor, "state 2 4 4"], costs: Float[Tensor, " state"], count: int
-) -> Float[Tensor, "kept 2 4 4"]:
+    states: Float[Tensor, "state slot 4 4"], costs: Float[Tensor, " state"], count: int
+) -> Float[Tensor, "kept slot 4 4"]:
     """The best that are apart from each other, the best first."""
     kept: list[Tensor] = []
     for state in states[costs.nan_to_num(torch.inf).argsort()]:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,17 @@ from torch import Tensor
 from torchcal.calibrate.result import (
     AddedObject,
     Calibration,
+    Estimate,
     FrameComparison,
     JobCheck,
+    ObjectVerdict,
     PixelClass,
     UnobservableDirection,
 )
 from torchcal.display import canvas, figures
 from torchcal.display.report import FramePictures, report
 from torchcal.display.summary import axis_sigmas
+from torchcal.model.job import Job
 from torchcal.model.urdf import write_urdf
 from torchcal.model.world import World, WorldObject, write_world
 
@@ -40,7 +43,7 @@ def result_dict(calibration: Calibration) -> dict[str, Any]:
             for other in estimate.alternatives
         ],
         "frames": [_frame(calibration, index) for index in range(len(calibration.comparisons))],
-        "objects": {name: asdict(verdict) for name, verdict in update.verdicts.items()},
+        "objects": {name: _verdict(verdict) for name, verdict in update.verdicts.items()},
         "added": [_added(item) for item in update.added],
         "timing": calibration.timing,
     }
@@ -108,6 +111,10 @@ def corrected_world(calibration: Calibration) -> World | None:
     kept = [item for item in (old.objects if old else ()) if item.name not in gone]
     names = unique_names([*(item.name for item in kept), *(item.name for item in update.added)])
     eye = torch.eye(4, dtype=torch.float64)
+    known = calibration.estimate.Ts_world_object
+    kept = [
+        replace(item, T_world_object=known.get(item.name, item.T_world_object)) for item in kept
+    ]
     added = [
         WorldObject(name=name, mesh=item.mesh, T_world_object=eye)
         for name, item in zip(names[len(kept) :], update.added, strict=True)
@@ -117,7 +124,7 @@ def corrected_world(calibration: Calibration) -> World | None:
 
 
 def _parameters(calibration: Calibration) -> dict[str, Any]:
-    """The estimated poses; blocks that this version does not estimate are empty."""
+    """The estimated values, each with its standard deviation; known blocks are empty."""
     job, estimate = calibration.job, calibration.estimate
     poses: dict[str, Any] = {}
     if job.robot is None:
@@ -131,7 +138,39 @@ def _parameters(calibration: Calibration) -> dict[str, Any]:
         ):
             sigmas = _split(axis_sigmas(estimate.names, estimate.covariance, group))
             poses[group] = {key: _numbers(T), **sigmas}
-    return poses | {"joints": {}, "objects": {}, "range": {}}
+    sigmas = dict(zip(estimate.names, estimate.covariance.diagonal().sqrt().tolist(), strict=True))
+    joints = {
+        name: {"offset": offset, "sigma": sigmas.get(f"joints.{name}", 0.0)}
+        for name, offset in estimate.joint_offsets.items()
+    }
+    objects = {
+        name: {
+            "T_world_object": _numbers(T),
+            **_split(axis_sigmas(estimate.names, estimate.covariance, f"objects.{name}")),
+        }
+        for name, T in estimate.Ts_world_object.items()
+    }
+    return poses | {"joints": joints, "objects": objects, "range": _range(job, estimate, sigmas)}
+
+
+def _range(job: Job, estimate: Estimate, sigmas: dict[str, float]) -> dict[str, float]:
+    if job.range is None:
+        return {}
+    return {
+        "offset_m": estimate.range_offset,
+        "scale": estimate.range_scale,
+        "offset_sigma_m": sigmas.get("range.offset", 0.0),
+        "scale_sigma": sigmas.get("range.scale", 0.0),
+    }
+
+
+def _verdict(verdict: ObjectVerdict) -> dict[str, Any]:
+    """One entry of ``objects``."""
+    counts = {"verdict": verdict.verdict, "agree": verdict.agree}
+    counts |= {"seen_through": verdict.seen_through, "hidden": verdict.hidden}
+    if verdict.T_world_object is None:
+        return counts
+    return counts | {"T_world_object": _numbers(verdict.T_world_object)}
 
 
 def _directions(directions: Sequence[UnobservableDirection]) -> list[dict[str, Any]]:
@@ -205,6 +244,7 @@ def _write_robot(calibration: Calibration, folder: Path) -> None:
             T_world_base=estimate.T_world_base,
             link=job.link,
             T_link_sensor=estimate.T_link_sensor,
+            joint_offsets=estimate.joint_offsets,
         )
 
 

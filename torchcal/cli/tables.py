@@ -18,7 +18,7 @@ from torchcal.calibrate.result import (
 )
 from torchcal.display.figures import class_counts
 from torchcal.display.report import HEADLINES, agreement
-from torchcal.display.summary import PoseCorrection, corrections, distance_words
+from torchcal.display.summary import SHOWN_UNITS, Correction, corrections, distance_words
 
 STYLES: dict[str, str] = {"agrees": "green", "unseen": "dim", "moved": "yellow", "removed": "red"}
 
@@ -57,7 +57,7 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-def _correction_table(pose: PoseCorrection) -> Table:
+def _correction_table(pose: Correction) -> Table:
     table = _table(escape(pose.title), "axis", "correction", "± 1σ now", "± 1σ before")
     for row in pose.axes:
         if row.held:
@@ -125,8 +125,7 @@ def _metres(value: float) -> str:
 def _parameter_table(parameters: tuple[ParameterCheck, ...]) -> Table:
     table = _table("Unknowns: one standard deviation", "unknown", "before", "expected after")
     for each in parameters:
-        turned = each.name.rpartition(".")[2].startswith("r")
-        scale, unit = (math.degrees(1.0), "°") if turned else (1000.0, "mm")
+        scale, unit = SHOWN_UNITS[each.unit]
         sigmas = (each.prior_sigma, each.expected_sigma)
         table.add_row(escape(each.name), *(f"{scale * sigma:.3g} {unit}" for sigma in sigmas))
     return table

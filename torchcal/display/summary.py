@@ -10,17 +10,20 @@ from torch import Tensor
 from torchcal.calibrate.result import Calibration
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
-from torchcal.model.job import Job, PosePrior
+from torchcal.model.job import Job, PosePrior, RangePrior
 from torchcal.model.sensor import Noise, Sensor
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 MILLI = 1000.0
 
+SHOWN_UNITS = {"m": (MILLI, "mm"), "rad": (math.degrees(1.0), "°"), "1": (100.0, "%")}
+"""Factor and name of the unit that a person reads."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AxisCorrection:
-    """One axis of a corrected pose; mm, or degrees for a rotation."""
+    """One axis of a corrected pose, or one number; in ``unit``."""
 
     axis: str
     unit: str
@@ -37,25 +40,24 @@ class AxisCorrection:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PoseCorrection:
-    """A pose that was unknown: what was believed, what was found."""
+class Correction:
+    """A part of the model that was unknown: what was believed, what was found."""
 
     title: str
-    nominal: str
-    estimated: str
     axes: tuple[AxisCorrection, ...]
+    notes: tuple[str, ...]
 
 
 def axis_sigmas(
     names: tuple[str, ...], covariance: Float[Tensor, "parameter parameter"], group: str
 ) -> list[float]:
-    """Standard deviations (m, m, m, rad, rad, rad) of ``base`` or ``mount``; 0 for held axes."""
+    """Standard deviations (m, m, m, rad, rad, rad) of a pose's block; 0 for held axes."""
     sigmas = covariance.diagonal().clamp(min=0.0).sqrt().tolist()
     known = dict(zip(names, sigmas, strict=True))
     return [known.get(f"{group}.{axis}", 0.0) for axis in AXES]
 
 
-def corrections(calibration: Calibration) -> tuple[PoseCorrection, ...]:
+def corrections(calibration: Calibration) -> tuple[Correction, ...]:
     """What was corrected, in the order in which the job lists its unknowns."""
     job, estimate = calibration.job, calibration.estimate
     found = []
@@ -63,12 +65,60 @@ def corrections(calibration: Calibration) -> tuple[PoseCorrection, ...]:
         title, nominal, estimated = _base_poses(calibration)
         sigmas = _base_sigmas(calibration)
         found.append(_correction(title, nominal, estimated, sigmas, job.base))
+    if job.joints:
+        found.append(_joint_correction(calibration))
     if job.mount is not None:
         sigmas = axis_sigmas(estimate.names, estimate.covariance, "mount")
         poses = job.T_link_sensor, estimate.T_link_sensor
         title = f"Sensor on {job.link}" if job.link else "Sensor mount"
         found.append(_correction(title, *poses, sigmas, job.mount))
+    nominal = {item.name: item.T_world_object for item in job.world.objects} if job.world else {}
+    for name, prior in job.objects.items():
+        sigmas = axis_sigmas(estimate.names, estimate.covariance, f"objects.{name}")
+        poses = nominal[name], estimate.Ts_world_object[name]
+        found.append(_correction(f"Object {name} in the world", *poses, sigmas, prior))
+    if job.range is not None:
+        found.append(_range_correction(calibration, job.range))
     return tuple(found)
+
+
+def _joint_correction(calibration: Calibration) -> Correction:
+    """The zero positions of all joints that were unknown."""
+    job, offsets = calibration.job, calibration.estimate.joint_offsets
+    assert job.robot is not None, "only robots have joints"
+    rows = (
+        _number(
+            calibration, f"joints.{name}", name, job.robot.joint_unit(name), offsets[name], prior
+        )
+        for name, prior in job.joints.items()
+    )
+    notes = ("What must be added to the values that the joints report.",)
+    return Correction(title="Zero positions of the joints", axes=tuple(rows), notes=notes)
+
+
+def _range_correction(calibration: Calibration, prior: RangePrior) -> Correction:
+    """The sensor's own error."""
+    estimate = calibration.estimate
+    rows = (
+        _number(
+            calibration, "range.offset", "offset", "m", estimate.range_offset, prior.offset_sigma
+        ),
+        _number(calibration, "range.scale", "scale", "1", estimate.range_scale, prior.scale_sigma),
+    )
+    notes = ("The sensor measures offset + (1 + scale) times the true range.",)
+    return Correction(title="The sensor's range", axes=rows, notes=notes)
+
+
+def _number(
+    calibration: Calibration, name: str, axis: str, unit: str, value: float, prior: float
+) -> AxisCorrection:
+    """A row of one number."""
+    estimate, (scale, shown) = calibration.estimate, SHOWN_UNITS[unit]
+    variances = dict(zip(estimate.names, estimate.covariance.diagonal().tolist(), strict=True))
+    sigma = max(variances.get(name, 0.0), 0.0) ** 0.5
+    return AxisCorrection(
+        axis=axis, unit=shown, change=scale * value, sigma=scale * sigma, prior=scale * prior
+    )
 
 
 def _base_poses(calibration: Calibration) -> tuple[str, Tensor, Tensor]:
@@ -90,11 +140,11 @@ def _base_sigmas(calibration: Calibration) -> list[float]:
 
 def _correction(
     title: str, nominal: Tensor, estimated: Tensor, sigmas: list[float], prior: PosePrior
-) -> PoseCorrection:
+) -> Correction:
     """The rows of one pose."""
     twist = se3.log(se3.inverse(nominal) @ estimated.to(nominal)).tolist()
     believed = prior.sigma.tolist()
-    scales = [(MILLI, "mm")] * 3 + [(math.degrees(1.0), "°")] * 3
+    scales = [SHOWN_UNITS["m"]] * 3 + [SHOWN_UNITS["rad"]] * 3
     axes = tuple(
         AxisCorrection(
             axis=axis,
@@ -105,9 +155,12 @@ def _correction(
         )
         for i, (axis, (scale, unit)) in enumerate(zip(AXES, scales, strict=True))
     )
-    return PoseCorrection(
-        title=title, nominal=pose_words(nominal), estimated=pose_words(estimated), axes=axes
+    notes = (
+        f"Nominal: {pose_words(nominal)}",
+        f"Estimated: {pose_words(estimated)}",
+        "Corrections are along and about the axes of the nominal pose.",
     )
+    return Correction(title=title, axes=axes, notes=notes)
 
 
 def pose_words(T: Float[Tensor, "4 4"]) -> str:
@@ -138,6 +191,16 @@ def settings(job: Job) -> dict[str, str]:
     rows |= _sensor_settings(job.sensor)
     rows["Prior of the base"] = _prior_words(job.base)
     rows["Prior of the mount"] = _prior_words(job.mount)
+    if job.joints:
+        rows["Unknown joints"] = ", ".join(job.joints)
+    if job.objects:
+        rows["Unknown objects"] = ", ".join(job.objects)
+    if job.range is not None:
+        rows["Prior of the sensor's range"] = (
+            f"{MILLI * job.range.offset_sigma:g} mm, {100.0 * job.range.scale_sigma:g} %"
+        )
+    if job.frame_poses is not None:
+        rows["Prior of each frame's pose"] = _prior_words(job.frame_poses)
     rows["Alpha"] = f"{job.alpha:g} standard deviations (eq. 5)"
     return rows
 

@@ -1,6 +1,6 @@
 """Checks that concern several tables of a job.
 
-What needs a robot or must do without one, which names exist, what this version estimates.
+What needs a robot or must do without one, and which names exist.
 """
 
 from pathlib import Path
@@ -89,22 +89,22 @@ def joint_kind(name: str, robot: Robot) -> str:
 
 
 def check_unknowns(file: Path, table: JobTable, robot: Robot | None, world: World | None) -> None:
-    """Checks the names in the ``[unknown.*]`` tables, and that this version can estimate them.
+    """Checks the names in the ``[unknown.*]`` tables.
 
     Raises:
-        JobError: If a joint or an object does not exist, a sigma is missing, or a block is not
-            estimated yet.
+        JobError: If a joint or an object does not exist or is named twice, or a sigma is missing.
     """
     if table.unknown.joints is not None and robot is not None:
         _check_joint_sigmas(file, table.unknown.joints, robot)
     for name in table.unknown.object:
         _check_object(file, name, world)
-    _check_supported(file, table)
 
 
 def _check_joint_sigmas(file: Path, table: JointSigmas, robot: Robot) -> None:
-    for name in table.names or ():
+    for i, name in enumerate(table.names or ()):
         check_joint(file, "unknown.joints.names", name, robot)
+        if table.names and name in table.names[:i]:
+            raise JobError(file, "unknown.joints.names", f'"{name}" twice', "each joint once")
     for name in table.names or robot.joint_names:
         kind = joint_kind(name, robot)
         key, unit = ("sigma", "metres") if kind == "prismatic" else ("sigma_deg", "degrees")
@@ -118,16 +118,3 @@ def _check_object(file: Path, name: str, world: World | None) -> None:
     if name not in names:
         found = "an object that the world does not have"
         raise JobError(file, f"unknown.object.{name}", found, among(name, names))
-
-
-def _check_supported(file: Path, table: JobTable) -> None:
-    later = {
-        "unknown.joints": table.unknown.joints,
-        **{f"unknown.object.{name}": sigmas for name, sigmas in table.unknown.object.items()},
-        "unknown.range": table.unknown.range,
-        "unknown.frames": table.unknown.frames,
-    }
-    for key, value in later.items():
-        if value is not None:
-            found = "a block that this version does not estimate yet"
-            raise JobError(file, key, found, "unknown.base or unknown.mount, which it estimates")

@@ -1,6 +1,7 @@
 """A job as the method uses it: everything read, checked and in metres and radians."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -36,6 +37,15 @@ class PosePrior:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class RangePrior:
+    """What may be wrong with the sensor's range: z_measured = offset + (1 + scale) z."""
+
+    offset_sigma: float
+    """m"""
+    scale_sigma: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Job:
     """A recording and everything that is believed about it."""
 
@@ -54,6 +64,14 @@ class Job:
     """``unknown.base``; without a robot, one correction shared by the poses of all frames."""
     mount: PosePrior | None
     """``unknown.mount``"""
+    joints: Mapping[str, float] = field(default_factory=dict)
+    """``unknown.joints``: sigma (rad, m) of the zero position of joints; 0 holds one."""
+    objects: Mapping[str, PosePrior] = field(default_factory=dict)
+    """``unknown.object``: sigmas about the centre of the object's bounding box."""
+    range: RangePrior | None = None
+    """``unknown.range``"""
+    frame_poses: PosePrior | None = None
+    """``unknown.frames``: every frame's pose has an error of its own; None with a robot."""
     initial: Literal["nominal", "anywhere"] = "nominal"
     """Where to start. "anywhere": ``base`` and the nominal pose of base or sensor say nothing."""
     alpha: float = 3.0

@@ -1,5 +1,6 @@
 """Reading a job file: everything it names is read and checked, in metres and radians."""
 
+import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,17 @@ import torch
 from torch import Tensor
 
 from torchcal.errors import JobError
-from torchcal.model.check_job import check_link, check_tables, check_unknowns
-from torchcal.model.job import Frame, Job, PosePrior
+from torchcal.model.check_job import check_link, check_tables, check_unknowns, joint_kind
+from torchcal.model.job import Frame, Job, PosePrior, RangePrior
 from torchcal.model.job_mistakes import checked
-from torchcal.model.job_schema import JobTable, PoseSigmas, PoseTable, WorldTable
+from torchcal.model.job_schema import (
+    JobTable,
+    JointSigmas,
+    PoseSigmas,
+    PoseTable,
+    RangeSigmas,
+    WorldTable,
+)
 from torchcal.model.read_frames import existing_file, pose, read_frames
 from torchcal.model.read_sensor import read_sensor, with_preset
 from torchcal.model.robot import Robot, load_robot
@@ -34,8 +42,7 @@ def read_job(
 
     Raises:
         JobError: At the first mistake: the file or one that it names cannot be read, a key is
-            unknown, missing, of the wrong type or out of its limits, a name does not exist, or
-            the job asks for what this version does not estimate yet.
+            unknown, missing, of the wrong type or out of its limits, or a name does not exist.
     """
     file = Path(file)
     table = _read_tables(file)
@@ -57,6 +64,14 @@ def read_job(
         frames=tuple(_frame_to(frame, dtype, device) for frame in frames),
         base=_prior(table.unknown.base, dtype, device),
         mount=_prior(table.unknown.mount, dtype, device),
+        joints=_joint_sigmas(table.unknown.joints, robot),
+        objects={
+            name: prior
+            for name, sigmas in table.unknown.object.items()
+            if (prior := _prior(sigmas, dtype, device)) is not None
+        },
+        range=_range_prior(table.unknown.range),
+        frame_poses=_prior(table.unknown.frames, dtype, device),
         initial=table.search.initial,
         alpha=table.search.alpha,
     )
@@ -107,6 +122,22 @@ def _prior(
     position = torch.tensor(table.position_sigma, dtype=dtype, device=device)
     rotation = torch.tensor(table.rotation_sigma_deg, dtype=dtype, device=device).deg2rad()
     return PosePrior(sigma=torch.cat([position, rotation]))
+
+
+def _joint_sigmas(table: JointSigmas | None, robot: Robot | None) -> dict[str, float]:
+    if table is None or robot is None:
+        return {}
+    turning, sliding = math.radians(table.sigma_deg or 0.0), table.sigma or 0.0
+    return {
+        name: sliding if joint_kind(name, robot) == "prismatic" else turning
+        for name in table.names or robot.joint_names
+    }
+
+
+def _range_prior(table: RangeSigmas | None) -> RangePrior | None:
+    if table is None:
+        return None
+    return RangePrior(offset_sigma=table.offset_sigma, scale_sigma=table.scale_sigma)
 
 
 def _frame_to(frame: Frame, dtype: torch.dtype, device: torch.device | str) -> Frame:

@@ -5,17 +5,20 @@ and axes in single precision only and knows neither mimic joints nor a robot of 
 """
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytorch_kinematics as pk
 import torch
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pytorch_kinematics.transforms import Transform3d
 from torch import Tensor
 
 from torchcal.errors import JobError, TorchcalError, choices
+from torchcal.geometry import se3
 from torchcal.model.link_meshes import link_mesh, origin_matrix
 from torchcal.model.urdf_reader import read_urdf
 from torchcal.model.urdf_tree import Joint, Urdf
@@ -34,6 +37,12 @@ class Kinematics:
     follow: Float[Tensor, "chain_joint joint"]
     """The chain's joint values are ``follow @ joints + offset``: this resolves mimic joints."""
     offset: Float[Tensor, " chain_joint"]
+    child: tuple[int, ...]
+    """The link below each joint of the chain, in ``Robot.link_names``."""
+    screws: Float[Tensor, "chain_joint 6"]
+    """The twist of each joint, per rad or m, in the frame of the link below it."""
+    moves: Bool[Tensor, "link chain_joint"]
+    """Whether a link hangs below a joint."""
 
     def chain(self, device: torch.device) -> pk.Chain:
         """The chain on a device; copied there when first asked for."""
@@ -41,6 +50,16 @@ class Kinematics:
             source = self.chains[torch.device("cpu")]
             self.chains[device] = copy.deepcopy(source).to(device=device)
         return self.chains[device]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JointMotion:
+    """What an offset does to one joint."""
+
+    value: float
+    """rad or m"""
+    T: Float[Tensor, "4 4"]
+    """On the right of the joint's origin."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,6 +109,50 @@ class Robot:
         frames = kinematics.chain(joints.device).forward_kinematics_tensor(rows)
         poses = frames[list(kinematics.link_frames)].movedim(0, 1).to(joints.dtype)
         return poses.reshape(*batch, len(self.link_names), 4, 4)
+
+    def jacobians(
+        self, Ts_base_link: Float[Tensor, "*batch link 4 4"]
+    ) -> Float[Tensor, "*batch link 6 joint"]:
+        """How every link moves with the joints: the twist on its left, in the base, per rad or m.
+
+        Args:
+            Ts_base_link: What ``forward_kinematics`` says of the joints.
+        """
+        kinematics = self.kinematics
+        child = Ts_base_link[..., list(kinematics.child), :, :]
+        screws = se3.adjoint(child) @ kinematics.screws.to(child)[..., None]
+        moves, follow = kinematics.moves.to(child), kinematics.follow.to(child)
+        return torch.einsum("...ci,lc,cj->...lij", screws[..., 0], moves, follow)
+
+    def joint_motions(self, offsets: Mapping[str, float]) -> dict[str, JointMotion]:
+        """What offsets of joints (rad, m) do to these and to those that follow them.
+
+        Args:
+            offsets: By names of ``joint_names``.
+
+        Returns:
+            The motion of every joint that moves, by the name of the link below it.
+
+        Raises:
+            TorchcalError: If there is no such joint.
+        """
+        for name in offsets:
+            if name not in self.joint_names:
+                expected = choices(self.joint_names)
+                raise TorchcalError(f"{self.file}: found joint {name!r}; expected {expected}")
+        kinematics = self.kinematics
+        free = [offsets.get(name, 0.0) for name in self.joint_names]
+        values = kinematics.follow @ torch.tensor(free, dtype=torch.float64)
+        motions = se3.exp(values[:, None] * kinematics.screws)
+        return {
+            self.link_names[child]: JointMotion(value=float(value), T=T)
+            for child, value, T in zip(kinematics.child, values, motions, strict=True)
+            if value != 0.0
+        }
+
+    def joint_unit(self, name: str) -> Literal["m", "rad"]:
+        """The unit of the values of one of ``joint_names``."""
+        return "m" if self.joint_kinds[self.joint_names.index(name)] == "prismatic" else "rad"
 
     def link_index(self, name: str) -> int:
         """The place of a link in ``link_names``.
@@ -159,12 +222,39 @@ def _kinematics(
         leader, multiplier, shift = leaders.get(name, (name, 1.0, 0.0))
         follow[row, free.index(leader)] = multiplier
         offset[row] = shift
+    joints = {joint.name: joint for joint in tree.joints}
+    moving = [joints[name] for name in names]
+    above = {joint.child: joint for joint in tree.joints}
     return Kinematics(
         chains={torch.device("cpu"): chain},
         link_frames=tuple(chain.frame_to_idx[link] for link in links),
         follow=follow,
         offset=offset,
+        child=tuple(links.index(joint.child) for joint in moving),
+        screws=torch.stack([_screw(joint) for joint in moving])
+        if moving
+        else offset.new_zeros(0, 6),
+        moves=torch.tensor(
+            [[joint.name in _joints_above(link, above) for joint in moving] for link in links],
+            dtype=torch.bool,
+        ).reshape(len(links), len(moving)),
     )
+
+
+def _screw(joint: Joint) -> Tensor:
+    """The twist of a joint about or along its axis, per rad or m."""
+    axis = torch.nn.functional.normalize(torch.tensor(joint.axis, dtype=torch.float64), dim=0)
+    none = torch.zeros_like(axis)
+    return torch.cat([axis, none] if joint.kind == "prismatic" else [none, axis])
+
+
+def _joints_above(link: str, above: dict[str, Joint]) -> set[str]:
+    """The joints between a link and the root."""
+    passed = set()
+    while link in above:
+        passed.add(above[link].name)
+        link = above[link].parent
+    return passed
 
 
 def _frame(tree: Urdf, link: str, joint: Joint | None) -> pk.frame.Frame:

@@ -1,8 +1,10 @@
 """Writing the corrected URDF. Reading is in ``torchcal.model.urdf_reader``."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -11,7 +13,7 @@ from torchcal.geometry import se3
 from torchcal.model.job import WORLD_LINK
 from torchcal.model.link_meshes import resolve
 from torchcal.model.mesh_copy import MeshFolder
-from torchcal.model.robot import Robot
+from torchcal.model.robot import JointMotion, Robot
 from torchcal.model.urdf_reader import read_xml
 
 SENSOR_LINK = "torchcal_sensor"
@@ -24,13 +26,14 @@ def write_urdf(
     T_world_base: Float[Tensor, "4 4"],
     link: str,
     T_link_sensor: Float[Tensor, "4 4"],
+    joint_offsets: Mapping[str, float] | None = None,
 ) -> None:
-    """Writes the robot's URDF with where its base stands and where its sensor is.
+    """Writes the robot's URDF with where its base stands, its joints are 0 and its sensor is.
 
-    The tree stays as it was. New are a root link ``world`` (``torchcal_world`` where that name is
-    taken) with a fixed joint to the old root, and a link ``torchcal_sensor`` fixed to the link that
-    carries the sensor. Mesh files are copied to ``meshes`` beside the file, with the materials and
-    images that they name.
+    The tree stays as it was, and limits move with the zero of their joint. New are a root link
+    ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the old root, and
+    a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files are copied to
+    ``meshes`` beside the file, with the materials and images that they name.
 
     Args:
         robot: As ``load_robot`` read it; its file is read again.
@@ -38,6 +41,8 @@ def write_urdf(
         T_world_base: Where the root link stands in the world (m).
         link: The link that carries the sensor; ``WORLD_LINK`` for one that stands still.
         T_link_sensor: Where the sensor is on it (m).
+        joint_offsets: What must be added to the values of joints (rad, m): their origins hold it
+            afterwards, and those of the joints that follow them.
 
     Raises:
         TorchcalError: If the robot has no such link, or its file can no longer be read.
@@ -45,6 +50,8 @@ def write_urdf(
     if link != WORLD_LINK:
         robot.link_index(link)
     root = read_xml(robot.file)
+    for child, motion in robot.joint_motions(joint_offsets or {}).items():
+        _shift_joint(root, child, motion)
     _copy_files(robot.file, root, MeshFolder(file.parent / "meshes"))
     links = {element.get("name", "") for element in root.findall("link")}
     joints = {element.get("name", "") for element in root.findall("joint")}
@@ -65,6 +72,33 @@ def write_urdf(
     ET.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
 
 
+def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
+    """Puts an offset into the origin of the joint above a link, and takes it out of its limits."""
+    joint = next(joint for joint in root.findall("joint") if _child(joint) == child)
+    origin = joint.find("origin")
+    if origin is None:
+        origin = ET.SubElement(joint, "origin")
+    xyz, rpy = (
+        torch.tensor([float(x) for x in origin.get(key, "0 0 0").split()], dtype=torch.float64)
+        for key in ("xyz", "rpy")
+    )
+    _set_origin(origin, se3.from_xyz_rpy(xyz, rpy) @ motion.T)
+    for limit in joint.findall("limit"):
+        for key in {"lower", "upper"} & limit.keys():
+            limit.set(key, f"{float(limit.attrib[key]) - motion.value:.17g}")
+
+
+def _child(joint: ET.Element) -> str | None:
+    element = joint.find("child")
+    return None if element is None else element.get("link")
+
+
+def _set_origin(origin: ET.Element, T: Float[Tensor, "4 4"]) -> None:
+    xyz, rpy = se3.to_xyz_rpy(T.detach().cpu().double())
+    origin.set("xyz", _digits(xyz))
+    origin.set("rpy", _digits(rpy))
+
+
 def _free(name: str, taken: set[str]) -> str:
     """The name, or with a number that makes it new."""
     count, free = 1, name
@@ -76,8 +110,7 @@ def _free(name: str, taken: set[str]) -> str:
 
 def _fixed_joint(name: str, parent: str, child: str, T_parent_child: Tensor) -> ET.Element:
     joint = ET.Element("joint", name=name, type="fixed")
-    xyz, rpy = se3.to_xyz_rpy(T_parent_child.detach().cpu().double())
-    ET.SubElement(joint, "origin", xyz=_digits(xyz), rpy=_digits(rpy))
+    _set_origin(ET.SubElement(joint, "origin"), T_parent_child)
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     return joint
