@@ -91,6 +91,7 @@ def estimate(frames: int, status: Status = Status.CONVERGED) -> Estimate:
         T_link_sensor=torch.eye(4, dtype=torch.float64),
         Ts_world_sensor=poses,
         pose_covariances=full.expand(frames, 6, 6),
+        state=torch.eye(4, dtype=torch.float64).repeat(2, 1, 1),
         joint_offsets={},
         Ts_world_object={},
         range_offset=0.0,

@@ -34,7 +34,7 @@ CHECK = JobCheck(
             warnings=("far from the model",),
         ),
     ),
-    parameters=(ParameterCheck(name="base.rx", prior_sigma=0.1, expected_sigma=0.01),),
+    parameters=(ParameterCheck(name="base.rx", unit="rad", prior_sigma=0.1, expected_sigma=0.01),),
     unobservable=(UnobservableDirection(words="the yaw", vector=torch.ones(1)),),
     warnings=("few frames",),
 )

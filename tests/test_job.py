@@ -43,6 +43,37 @@ def test_one_sigma_holds_for_all_axes_and_degrees_become_radians(arm_job):
     assert arm_job.mount is None
 
 
+def test_every_block_of_unknowns_is_read(tmp_path):
+    blocks = """
+[unknown.joints]
+sigma_deg = 1.0
+sigma = 0.02
+[unknown.object.crate]
+position_sigma = 0.05
+rotation_sigma_deg = [0, 0, 180]
+[unknown.range]
+offset_sigma = 0.005
+scale_sigma = 0.003
+"""
+    job = read_job(tiny_job.write(tmp_path, tiny_job.ARM_JOB + blocks))
+    degree = math.radians(1.0)
+    assert job.joints == {
+        name: 0.02 if kind == "prismatic" else degree
+        for name, kind in zip(job.robot.joint_names, job.robot.joint_kinds, strict=True)
+    }
+    crate = torch.tensor([0.05, 0.05, 0.05, 0.0, 0.0, math.pi], dtype=torch.float64)
+    assert_close(job.objects["crate"].sigma, crate)
+    assert (job.range.offset_sigma, job.range.scale_sigma) == (0.005, 0.003)
+    assert job.frame_poses is None
+
+
+def test_frames_of_their_own_are_read(tmp_path):
+    text = tiny_job.TRIPOD_JOB + "[unknown.frames]\nposition_sigma = 0.1\nrotation_sigma_deg = 0\n"
+    job = read_job(tiny_job.write(tmp_path, text))
+    expected = torch.tensor([0.1, 0.1, 0.1, 0.0, 0.0, 0.0], dtype=torch.float64)
+    assert_close(job.frame_poses.sigma, expected)
+
+
 def test_joints_left_out_are_zero(arm_job):
     for frame, given in zip(
         arm_job.frames, [{"shoulder": 0.1}, {"elbow": -0.2, "lift": 0.05}], strict=True

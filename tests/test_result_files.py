@@ -157,7 +157,9 @@ def test_a_check_becomes_strict_json():
     )
     check = JobCheck(
         frames=(frame,),
-        parameters=(ParameterCheck(name="base.x", prior_sigma=0.1, expected_sigma=0.001),),
+        parameters=(
+            ParameterCheck(name="base.x", unit="m", prior_sigma=0.1, expected_sigma=0.001),
+        ),
         unobservable=(UnobservableDirection(words="all", vector=torch.ones(1)),),
         warnings=(),
     )

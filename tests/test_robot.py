@@ -10,6 +10,7 @@ import trimesh
 from plain_kinematics import link_poses
 
 from torchcal.errors import TorchcalError
+from torchcal.geometry import se3
 from torchcal.model.meshes import face_colours
 from torchcal.model.robot import Robot, load_robot
 
@@ -81,6 +82,19 @@ def test_the_gradient_is_the_numerical_one():
     robot = load_robot(ROVER)
     joints = random_joints(robot).requires_grad_()
     assert torch.autograd.gradcheck(robot.forward_kinematics, joints)
+
+
+def test_jacobians_are_differences_of_the_links_poses(urdf: Path):
+    robot = load_robot(urdf)
+    joints, step = random_joints(robot, 2), 1e-6
+    poses = robot.forward_kinematics(joints)
+    jacobians = robot.jacobians(poses)
+    for j in range(len(robot.joint_names)):
+        way = step * torch.eye(len(robot.joint_names), dtype=torch.float64)[j]
+        ahead, behind = (robot.forward_kinematics(joints + each) for each in (way, -way))
+        moved = se3.log(ahead @ se3.inverse(poses)) - se3.log(behind @ se3.inverse(poses))
+        expected = moved / (2.0 * step)
+        torch.testing.assert_close(jacobians[..., j], expected, rtol=0.0, atol=1e-8)
 
 
 def test_dtype_follows_the_joints_and_an_empty_batch_stays_empty():

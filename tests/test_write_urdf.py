@@ -56,6 +56,40 @@ def test_the_written_urdf_holds_base_and_sensor(
     torch.testing.assert_close(after[-1], T_world_link @ T_link_sensor, rtol=0.0, atol=POSE_ATOL)
 
 
+@pytest.mark.parametrize("urdf", [ARM, ROVER])
+def test_the_written_urdf_contains_the_offsets_of_joints_and_limits(urdf: Path, tmp_path: Path):
+    """At the values that the joints report, links stand where the offsets put them."""
+    robot = load_robot(urdf)
+    offsets = torch.linspace(-0.1, 0.2, len(robot.joint_names), dtype=torch.float64)
+    out, eye = tmp_path / "robot.urdf", torch.eye(4, dtype=torch.float64)
+    named = dict(zip(robot.joint_names, offsets.tolist(), strict=True))
+    write_urdf(robot, out, T_world_base=eye, link="world", T_link_sensor=eye, joint_offsets=named)
+    written = load_robot(out)
+    reported = torch.linspace(-0.4, 0.5, len(offsets), dtype=torch.float64)
+    torch.testing.assert_close(
+        written.forward_kinematics(reported)[1:-1],
+        robot.forward_kinematics(reported + offsets),
+        rtol=0.0,
+        atol=POSE_ATOL,
+    )
+    limits = robot.joint_limits - offsets[:, None]
+    torch.testing.assert_close(written.joint_limits, limits, rtol=0.0, atol=POSE_ATOL)
+
+
+def test_an_offset_of_no_joint_is_an_error(tmp_path: Path):
+    eye = torch.eye(4, dtype=torch.float64)
+    with pytest.raises(TorchcalError, match=r"found joint 'knee'; expected .*elbow"):
+        write_urdf(
+            load_robot(ARM),
+            tmp_path / "robot.urdf",
+            T_world_base=eye,
+            link="world",
+            T_link_sensor=eye,
+            joint_offsets={"knee": 0.1},
+        )
+    assert not (tmp_path / "robot.urdf").exists()
+
+
 def test_the_written_folder_is_whole_without_the_original(tmp_path: Path):
     (tmp_path / "arm").mkdir()
     source = shutil.copytree(ARM.parent, tmp_path / "source" / "arm") / "arm.urdf"

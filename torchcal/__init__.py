@@ -25,6 +25,8 @@ from torchcal.calibrate.localisation import Rival as Rival
 from torchcal.calibrate.localisation import StagePose as StagePose
 from torchcal.calibrate.localise import localise as localise
 from torchcal.calibrate.localise import localise_pixels as localise_pixels
+from torchcal.calibrate.parameters import Parameters as Parameters
+from torchcal.calibrate.pipeline import build_job_scene as build_job_scene
 from torchcal.calibrate.result import Calibration as Calibration
 from torchcal.calibrate.result import Estimate as Estimate
 from torchcal.calibrate.result import FrameComparison as FrameComparison

@@ -163,6 +163,7 @@ def estimate_of(
         message=message,
         names=parameters.names,
         covariance=belief.covariance,
+        state=belief.state,
         T_world_base=belief.state[BASE],
         T_link_sensor=belief.state[MOUNT],
         Ts_world_sensor=parameters.sensor_poses(belief.state),

@@ -65,6 +65,8 @@ class Estimate:
     """``base.x`` .. ``mount.rz``: the order of ``covariance``; held axes are left out."""
     covariance: Float[Tensor, "parameter parameter"]
     """P of eq. 3 (m, rad) of the twists on the right of the estimated poses."""
+    state: Float[Tensor, "slot 4 4"]
+    """All that follows here, as ``Parameters`` has it."""
     T_world_base: Float[Tensor, "4 4"]
     T_link_sensor: Float[Tensor, "4 4"]
     Ts_world_sensor: Float[Tensor, "frame 4 4"]

@@ -83,9 +83,10 @@ def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
         for key in ("xyz", "rpy")
     )
     _set_origin(origin, se3.from_xyz_rpy(xyz, rpy) @ motion.T)
-    for limit in joint.findall("limit"):
-        for key in {"lower", "upper"} & limit.keys():
-            limit.set(key, f"{float(limit.attrib[key]) - motion.value:.17g}")
+    limits = [] if joint.get("type") == "continuous" else joint.findall("limit")
+    for limit in limits:
+        for key in ("lower", "upper"):
+            limit.set(key, f"{float(limit.get(key, '0')) - motion.value:.17g}")
 
 
 def _child(joint: ET.Element) -> str | None:

@@ -1,0 +1,121 @@
+"""Recordings with known truth for everything that may be unknown: drawn, ray-cast, estimated.
+
+The truth is drawn from the job's own prior, the images come from ``torchcal.demo.raycast``, so that
+no estimator is tested on its own renderer.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import trimesh
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.observation import observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.result import Calibration
+from torchcal.demo import raycast
+from torchcal.model.job import Job
+from torchcal.model.range_image import RangeImage
+from torchcal.model.sensor import Sensor
+from torchcal.solve.gauss_newton import covariance
+
+UNLIMITED = 1e9
+"""A cut-off that no residual reaches: the data of these trials have no outliers."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trial:
+    """A recording and what is true of it."""
+
+    job: Job
+    state: Float[Tensor, "slot 4 4"]
+    """The true one."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """One trial's estimate against its truth, in the order of ``Parameters.names``."""
+
+    status: str
+    error: Float[Tensor, " parameter"]
+    """m, rad"""
+    covariance: Float[Tensor, "parameter parameter"]
+    """What the estimate claims."""
+    least: Float[Tensor, "parameter parameter"]
+    """The Cramer-Rao value of the same recording, with the prior."""
+
+
+def draw_trial(job: Job, seed: int, number: int) -> Trial:
+    """Draws a truth from the prior of a job and records it.
+
+    Args:
+        job: Its frames have joints or poses; their images are replaced.
+        seed: Of the experiment.
+        number: Of the trial, which depends on nothing else.
+    """
+    rng = np.random.default_rng([seed, number])
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    step = torch.from_numpy(rng.standard_normal(len(parameters.names))) * parameters.prior_sigma
+    state = parameters.retract(parameters.nominal, step)
+    meshes = _meshes(job)
+    offset, scale = parameters.range_error(state).tolist()
+    frames = []
+    for frame, Ts_sensor_body in zip(job.frames, parameters.bodies_in_sensor(state), strict=True):
+        image = offset + (1.0 + scale) * _predicted(meshes, Ts_sensor_body, job.sensor)
+        measured = torch.from_numpy(raycast.measure(image, job.sensor, rng))
+        frames.append(replace(frame, image=_image(frame.image.name, measured)))
+    return Trial(job=replace(job, frames=tuple(frames)), state=state)
+
+
+def outcome(trial: Trial, calibration: Calibration) -> Outcome:
+    """Compares what a calibration of the trial's job found with the truth."""
+    job, estimate = trial.job, calibration.estimate
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    fit = RangeFit(
+        observation=observe(job),
+        surface=scene.surface,
+        parameters=parameters,
+        cutoff=UNLIMITED,
+        drift=None,
+    )
+    return Outcome(
+        status=estimate.status.value,
+        error=parameters.difference(estimate.state, trial.state),
+        covariance=estimate.covariance,
+        least=covariance(fit.evaluate(trial.state[None]).information[0]),
+    )
+
+
+def blank_image(name: str, sensor: Sensor) -> RangeImage:
+    """An image of nothing, for a frame that is still to be recorded."""
+    shape = sensor.projection.height, sensor.projection.width
+    return _image(name, torch.full(shape, torch.nan, dtype=torch.float64))
+
+
+def _image(name: str, ranges: Tensor) -> RangeImage:
+    usable = torch.ones(ranges.shape, dtype=torch.bool)
+    return RangeImage(name=name, file=f"{name}.npy", range=ranges, usable=usable)
+
+
+def _meshes(job: Job) -> list[trimesh.Trimesh]:
+    """Of all bodies, in the order of the scene."""
+    objects = [] if job.world is None else [item.mesh for item in job.world.objects]
+    links = {} if job.robot is None else job.robot.link_meshes
+    names = () if job.robot is None else job.robot.link_names
+    return [*objects, *(links[name] for name in names if name in links)]
+
+
+def _predicted(
+    meshes: list[trimesh.Trimesh], Ts_sensor_body: Tensor, sensor: Sensor
+) -> Float[np.ndarray, "h w"]:
+    placed = [
+        mesh.copy().apply_transform(T.numpy())
+        for mesh, T in zip(meshes, Ts_sensor_body, strict=True)
+    ]
+    return raycast.predict(raycast.view(placed, np.eye(4)), sensor.projection, sensor.beam)
