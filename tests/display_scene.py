@@ -11,6 +11,7 @@ from torchcal.calibrate.result import (
     Calibration,
     Estimate,
     FrameComparison,
+    NextView,
     ObjectVerdict,
     PixelClass,
     Status,
@@ -164,5 +165,6 @@ def calibration(
             },
             added=(AddedObject(name="added-1", frames=names[:1], mesh=added),),
         ),
+        next_view=NextView(joints={"elbow": 0.25}, gain=1.5, sigma={"base.x": 0.001}),
         timing={"read": 0.5, "estimate": 12.25},
     )

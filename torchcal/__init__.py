@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from torchcal.calibrate import calibrate as calibrate
 from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
+from torchcal.calibrate.check import foresee as foresee
 from torchcal.calibrate.element_pose import find_element_poses as find_element_poses
 from torchcal.calibrate.element_result import ElementPoses as ElementPoses
 from torchcal.calibrate.element_result import ElementStatus as ElementStatus
@@ -29,8 +30,10 @@ from torchcal.calibrate.parameters import Parameters as Parameters
 from torchcal.calibrate.pipeline import build_job_scene as build_job_scene
 from torchcal.calibrate.result import Calibration as Calibration
 from torchcal.calibrate.result import Estimate as Estimate
+from torchcal.calibrate.result import Foresight as Foresight
 from torchcal.calibrate.result import FrameComparison as FrameComparison
 from torchcal.calibrate.result import JobCheck as JobCheck
+from torchcal.calibrate.result import NextView as NextView
 from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update

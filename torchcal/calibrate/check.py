@@ -1,15 +1,17 @@
 """What can be said of a job before anything is estimated."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.foresight import foreseen_covariance, next_view
 from torchcal.calibrate.observability import unobservable_directions
 from torchcal.calibrate.observation import coarser, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene, predict
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.refine import coarse_factor
-from torchcal.calibrate.result import FrameCheck, JobCheck, ParameterCheck
+from torchcal.calibrate.result import Foresight, FrameCheck, JobCheck, ParameterCheck
 from torchcal.model.job import Frame, Job
 from torchcal.model.scene import Scene
 from torchcal.solve.gauss_newton import covariance
@@ -34,18 +36,42 @@ def check(job: Job) -> JobCheck:
     P = _expected_covariance(job, scene, parameters)
     return JobCheck(
         frames=frames,
-        parameters=tuple(
-            ParameterCheck(name=name, unit=unit, prior_sigma=prior, expected_sigma=expected)
-            for name, unit, prior, expected in zip(
-                parameters.names,
-                parameters.units,
-                parameters.prior_sigma.tolist(),
-                P.diagonal().sqrt().tolist(),
-                strict=True,
-            )
-        ),
+        parameters=_parameter_checks(parameters, P),
         unobservable=unobservable_directions(P, parameters),
         warnings=() if parameters.names else ("The job declares nothing unknown.",),
+    )
+
+
+def foresee(job: Job, *, generator: torch.Generator) -> Foresight:
+    """What images like the job's will tell, at the nominal state; they need not be there yet.
+
+    Args:
+        job: Its images are not looked at.
+        generator: Draws configurations for the next view; on the CPU.
+    """
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    P = foreseen_covariance(job, scene, parameters, parameters.nominal)
+    return Foresight(
+        parameters=_parameter_checks(parameters, P),
+        unobservable=unobservable_directions(P, parameters),
+        next_view=next_view(job, scene, parameters.nominal, P, generator),
+    )
+
+
+def _parameter_checks(
+    parameters: Parameters, P: Float[Tensor, "parameter parameter"]
+) -> tuple[ParameterCheck, ...]:
+    """What is believed of every parameter before, and what P leaves of it."""
+    return tuple(
+        ParameterCheck(name=name, unit=unit, prior_sigma=prior, expected_sigma=expected)
+        for name, unit, prior, expected in zip(
+            parameters.names,
+            parameters.units,
+            parameters.prior_sigma.tolist(),
+            P.diagonal().sqrt().tolist(),
+            strict=True,
+        )
     )
 
 

@@ -101,13 +101,18 @@ def coarser(observation: Observation, factor: int) -> Observation:
     safe = torch.where(enough, count, 1.0)
     ranges = _block_mean(observation.range, factor) / safe
     sigma = _block_mean(torch.where(observation.measured, observation.sigma, 0.0), factor) / safe
-    beam = max(1, 2 * round((sensor.beam / factor - 1) / 2) + 1) if sensor.beam else 0
     return Observation(
-        sensor=replace(sensor, projection=sensor.projection.resized(factor), beam=beam),
+        sensor=coarser_sensor(sensor, factor),
         range=torch.where(enough, ranges, 0.0),
         measured=enough,
         sigma=torch.where(enough, sigma / factor, 1.0),
     )
+
+
+def coarser_sensor(sensor: Sensor, factor: int) -> Sensor:
+    """The sensor whose pixels cover ``factor`` x ``factor`` of these; its beam is about as wide."""
+    beam = max(1, 2 * round((sensor.beam / factor - 1) / 2) + 1) if sensor.beam else 0
+    return replace(sensor, projection=sensor.projection.resized(factor), beam=beam)
 
 
 def sharpened(observation: Observation) -> Observation:

@@ -21,6 +21,7 @@ from torchcal.calibrate.estimate import (
     fit_rest,
     nominal_belief,
 )
+from torchcal.calibrate.foresight import next_view
 from torchcal.calibrate.observation import grown
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import fitted_drift, slow_error
@@ -73,8 +74,17 @@ def calibrate(
             correlation_pixels=belief.drift_pixels,
             moved={name: result.Ts_world_object[name] for name in result.moved},
         )
+    ahead = None
+    if choice is not None:
+        with stages.stage("look ahead"):
+            ahead = next_view(job, scene, belief.state, belief.covariance, generator)
     return Calibration(
-        job=job, estimate=result, comparisons=comparisons, update=update, timing=stages.timing
+        job=job,
+        estimate=result,
+        comparisons=comparisons,
+        update=update,
+        next_view=ahead,
+        timing=stages.timing,
     )
 
 

@@ -146,6 +146,18 @@ class Update:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class NextView:
+    """Where to look next: the joint configuration whose image would tell most."""
+
+    joints: Mapping[str, float]
+    """rad or m, within the limits; nobody looked whether the robot can stand there."""
+    gain: float
+    """Information (nats) that its image adds."""
+    sigma: Mapping[str, float]
+    """What would be left of each parameter's standard deviation."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Calibration:
     """The whole answer to a job."""
 
@@ -153,6 +165,8 @@ class Calibration:
     estimate: Estimate
     comparisons: tuple[FrameComparison, ...]
     update: Update
+    next_view: NextView | None
+    """None without joints that could be moved, or where nothing was estimated."""
     timing: dict[str, float]
     """Seconds for each stage."""
 
@@ -185,6 +199,15 @@ class ParameterCheck:
     prior_sigma: float
     expected_sigma: float
     """What a calibration may be expected to leave of it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Foresight:
+    """What a job will tell before any image is taken."""
+
+    parameters: tuple[ParameterCheck, ...]
+    unobservable: tuple[UnobservableDirection, ...]
+    next_view: NextView | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -18,7 +18,13 @@ from torchcal.calibrate.result import (
 )
 from torchcal.display.figures import class_counts
 from torchcal.display.report import HEADLINES, agreement
-from torchcal.display.summary import SHOWN_UNITS, Correction, corrections, distance_words
+from torchcal.display.summary import (
+    SHOWN_UNITS,
+    Correction,
+    corrections,
+    distance_words,
+    next_view_words,
+)
 
 STYLES: dict[str, str] = {"agrees": "green", "unseen": "dim", "moved": "yellow", "removed": "red"}
 
@@ -77,6 +83,9 @@ def _doubts(calibration: Calibration) -> Iterator[Text]:
         place = distance_words(estimate.Ts_world_sensor[0], other.Ts_world_sensor[0])
         words = f"another pose explains the images nearly as well: {place}"
         yield Text(f"{words} (cost {other.score:.3f} against {estimate.score:.3f})", style="yellow")
+    if estimate.unobservable and calibration.next_view is not None:
+        words = f"one more image would tell most from: {next_view_words(calibration.next_view)}"
+        yield Text(words, style="yellow")
 
 
 def _direction(direction: UnobservableDirection) -> Text:

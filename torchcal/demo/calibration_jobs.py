@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from torchcal.demo import cell
-from torchcal.demo.calibration_trials import blank_image
 from torchcal.demo.recording import JOINTS, LINK, POSTURES, SENSOR, nominal_T_world_base
 from torchcal.demo.robots import robot_folder
 from torchcal.errors import TorchcalError, choices
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Spherical
 from torchcal.model.job import Frame, Job, PosePrior
+from torchcal.model.range_image import RangeImage
 from torchcal.model.robot import Robot, load_robot
 from torchcal.model.sensor import PRESETS, Drift, Noise, Sensor
 from torchcal.model.world import World, WorldObject
@@ -24,6 +24,8 @@ MOVED_OBJECTS = ("workbench", "cabinet")
 NO_DRIFT = Drift(sigma=0.0, pixels=1.0)
 MORE_POSTURES = 4
 """Of the arm, each beside one of the demo's."""
+CLEARANCE = 0.05
+"""m"""
 MAST_POSITIONS = 20
 ROVER_AT = (-1.3, 0.9, 0.4)
 """m, m, rad: where the rover stands in the cell and how far it is turned."""
@@ -47,6 +49,7 @@ def job_of(what: str, side: int) -> Job:
             base=prior(0.03, 2.0),
             joints=dict.fromkeys(JOINTS, degree),
             mount=prior(0.01, 1.0),
+            T_link_sensor=_before_housing(),
         ),
         "objects": lambda: replace(arm_job(side), objects=dict.fromkeys(MOVED_OBJECTS, MOVED)),
         "sharp-objects": lambda: replace(
@@ -120,6 +123,13 @@ def preset_sensor(name: str) -> Sensor:
     )
 
 
+def _before_housing() -> Tensor:
+    """Farther before the camera's own housing than a wrong mount may put the sensor into it."""
+    T = torch.eye(4, dtype=torch.float64)
+    T[2, 3] = CLEARANCE
+    return T
+
+
 def _beside(posture: tuple[float, ...], index: int) -> tuple[float, ...]:
     """Another posture that looks at the same part of the cell."""
     turns = (0.18, -0.15, 0.2, -0.25, 0.3, 0.4)
@@ -144,8 +154,12 @@ def _job(
         for item in cell.modelled_objects()
     )
     frames = (
-        Frame(image=blank_image(f"{k + 1:04d}", sensor), joints=joints, T_world_sensor=None)
-        for k, joints in enumerate(postures)
+        Frame(
+            image=RangeImage.blank(f"{k:04d}", f"{k:04d}.png", sensor),
+            joints=joints,
+            T_world_sensor=None,
+        )
+        for k, joints in enumerate(postures, start=1)
     )
     return Job(
         file=Path("job.toml"),

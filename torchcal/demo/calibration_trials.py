@@ -19,7 +19,6 @@ from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.result import Calibration
 from torchcal.demo import raycast
 from torchcal.model.job import Job
-from torchcal.model.range_image import RangeImage
 from torchcal.model.sensor import Sensor
 from torchcal.solve.gauss_newton import covariance
 
@@ -68,7 +67,7 @@ def draw_trial(job: Job, seed: int, number: int) -> Trial:
     for frame, Ts_sensor_body in zip(job.frames, parameters.bodies_in_sensor(state), strict=True):
         image = offset + (1.0 + scale) * _predicted(meshes, Ts_sensor_body, job.sensor)
         measured = torch.from_numpy(raycast.measure(image, job.sensor, rng))
-        frames.append(replace(frame, image=_image(frame.image.name, measured)))
+        frames.append(replace(frame, image=replace(frame.image, range=measured)))
     return Trial(job=replace(job, frames=tuple(frames)), state=state)
 
 
@@ -90,17 +89,6 @@ def outcome(trial: Trial, calibration: Calibration) -> Outcome:
         covariance=estimate.covariance,
         least=covariance(fit.evaluate(trial.state[None]).information[0]),
     )
-
-
-def blank_image(name: str, sensor: Sensor) -> RangeImage:
-    """An image of nothing, for a frame that is still to be recorded."""
-    shape = sensor.projection.height, sensor.projection.width
-    return _image(name, torch.full(shape, torch.nan, dtype=torch.float64))
-
-
-def _image(name: str, ranges: Tensor) -> RangeImage:
-    usable = torch.ones(ranges.shape, dtype=torch.bool)
-    return RangeImage(name=name, file=f"{name}.npy", range=ranges, usable=usable)
 
 
 def _meshes(job: Job) -> list[trimesh.Trimesh]:

@@ -16,7 +16,7 @@ from torchcal.calibrate.result import (
 )
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.figures import SHOWN_AS, class_counts
-from torchcal.display.summary import corrections, distance_words, settings
+from torchcal.display.summary import corrections, distance_words, next_view_words, settings
 
 MOST_PICTURES = 24
 """More frames than this make a file too large to send: the worst ones are shown."""
@@ -75,6 +75,7 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
         estimate=estimate,
         headline=HEADLINES[estimate.status],
         corrections=corrections(calibration),
+        next_view=next_view_words(calibration.next_view),
         unobservable=[direction.words for direction in estimate.unobservable],
         alternatives=[
             (distance_words(here, other.Ts_world_sensor[0]), other.score)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.result import Calibration
+from torchcal.calibrate.result import Calibration, NextView
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job, PosePrior, RangePrior
@@ -176,6 +176,14 @@ def distance_words(one: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> st
     twist = se3.log(se3.inverse(one) @ other.to(one))
     moved, turned = MILLI * float(twist[:3].norm()), math.degrees(float(twist[3:].norm()))
     return f"{moved:.1f} mm and {turned:.2f}° away"
+
+
+def next_view_words(view: NextView | None) -> str:
+    """Where to look next, as a job file has it (rad, m); empty where nobody knows."""
+    if view is None:
+        return ""
+    joints = ", ".join(f"{name} = {value:.3f}" for name, value in view.joints.items())
+    return f"joints = {{ {joints} }}"
 
 
 def settings(job: Job) -> dict[str, str]:

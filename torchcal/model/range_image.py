@@ -27,6 +27,17 @@ class RangeImage:
     usable: Bool[Tensor, "h w"]
     """Pixels that may be used at all: the job's mask."""
 
+    @staticmethod
+    def blank(name: str, file: str, sensor: Sensor) -> "RangeImage":
+        """An image that is still to be taken: nothing was measured."""
+        shape = sensor.projection.height, sensor.projection.width
+        return RangeImage(
+            name=name,
+            file=file,
+            range=torch.full(shape, torch.nan, dtype=torch.float64),
+            usable=torch.ones(shape, dtype=torch.bool),
+        )
+
 
 def read_range(file: Path, sensor: Sensor) -> Float[Tensor, "h w"]:
     """The ranges (m, float64) of an image file; NaN where nothing was measured.

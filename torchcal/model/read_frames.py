@@ -25,9 +25,16 @@ _MOST_TURNS = 2.0
 
 
 def read_frames(
-    file: Path, tables: list[FrameTable], sensor: Sensor, robot: Robot | None
+    file: Path, tables: list[FrameTable], sensor: Sensor, robot: Robot | None, *, recorded: bool
 ) -> tuple[Frame, ...]:
     """The frames of a job, in float64 on the CPU.
+
+    Args:
+        file: The job's.
+        tables: As the job has them.
+        sensor: What takes the images.
+        robot: What carries it, if any.
+        recorded: False: the images are still to be taken and are left blank.
 
     Raises:
         JobError: If an image or a mask cannot be used, or a joint does not exist.
@@ -35,7 +42,9 @@ def read_frames(
     names = _unique([Path(table.depth).stem for table in tables])
     return tuple(
         Frame(
-            image=_read_image(file, f"frame[{i}]", name, table, sensor),
+            image=_read_image(file, f"frame[{i}]", name, table, sensor)
+            if recorded
+            else RangeImage.blank(name, table.depth, sensor),
             joints=_joint_values(file, f"frame[{i}]", table.joints or {}, robot) if robot else None,
             T_world_sensor=None if robot else pose(table.pose or PoseTable()),
         )

@@ -28,12 +28,17 @@ from torchcal.model.world import World, load_world
 
 
 def read_job(
-    file: Path | str, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+    file: Path | str,
+    *,
+    recorded: bool = True,
+    dtype: torch.dtype = torch.float64,
+    device: torch.device | str = "cpu",
 ) -> Job:
     """Reads a job file and everything that it names.
 
     Args:
         file: The TOML file; the paths in it are relative to it.
+        recorded: False: the images and masks need not be there yet and are left blank.
         dtype: The type of all poses, joint values and images.
         device: Where they lie.
 
@@ -51,7 +56,7 @@ def read_job(
     robot = _read_robot(file, table)
     world = _read_world(file, table.world, dtype, device) if table.world else None
     check_unknowns(file, table, robot, world)
-    frames = read_frames(file, table.frame, sensor, robot)
+    frames = read_frames(file, table.frame, sensor, robot, recorded=recorded)
     base = table.robot.base if table.robot else PoseTable()
     return Job(
         file=file,

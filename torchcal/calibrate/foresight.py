@@ -1,0 +1,146 @@
+"""What images will tell, before they are taken: expected information, and where to look next."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.observation import Observation, coarser_sensor
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.prediction import predictions
+from torchcal.calibrate.range_fit import FILLED, RangeFit, embedded
+from torchcal.calibrate.result import NextView
+from torchcal.geometry import robust
+from torchcal.model.job import Job
+from torchcal.model.range_image import RangeImage
+from torchcal.model.scene import Scene
+from torchcal.model.sensor import Drift, Sensor
+from torchcal.solve.gauss_newton import covariance
+from torchcal.solve.image_equations import normal_equations
+
+SIDE = 60
+"""Pixels along the shorter side of foreseen images."""
+VIEWS = 48
+"""Configurations of the joints that are looked at for the next view."""
+
+
+def foreseen_covariance(
+    job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "slot 4 4"]
+) -> Float[Tensor, "parameter parameter"]:
+    """P of eq. 3 after images like the job's were taken of nothing but the model.
+
+    The noise is the job's; where its slowly varying part is to be found from residuals, there is
+    none to foresee, and the figures are the best that can happen.
+    """
+    told = parameters.prior_sigma.double().square().reciprocal().diag()
+    for information in foreseen(job, scene, parameters, state):
+        told = told + information
+    return covariance(told)
+
+
+def foreseen(
+    job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "slot 4 4"]
+) -> Iterator[Float[Tensor, "parameter parameter"]]:
+    """A^T W A of eq. 12 that the image of each frame will have."""
+    fit = RangeFit(
+        observation=_images(job, scene, parameters, state),
+        surface=scene.surface,
+        parameters=parameters,
+        cutoff=robust.EFFICIENT,
+        drift=_drift(job.sensor),
+    )
+    for frame in fit.residuals(state):
+        information, _ = normal_equations(fit.separate(frame), frame.jacobian)
+        yield embedded(information, frame.active, len(parameters.names))
+
+
+def next_view(
+    job: Job,
+    scene: Scene,
+    state: Float[Tensor, "slot 4 4"],
+    P: Float[Tensor, "parameter parameter"],
+    generator: torch.Generator,
+) -> NextView | None:
+    """The joint configuration, of some within the limits, whose image would tell most.
+
+    That is the largest gain of information, half the logarithm of det(1 + P A^T W A). None where
+    no robot moves the sensor or is seen by it, or nothing is unknown.
+
+    Args:
+        job: Its robot, sensor and unknowns.
+        scene: What it sees.
+        state: Where everything is believed to be.
+        P: How sure that is.
+        generator: Draws the configurations; on the CPU.
+    """
+    if job.robot is None or not job.robot.joint_names or job.frame_poses is not None:
+        return None
+    values = _configurations(job.robot.joint_limits, generator)
+    blank = RangeImage.blank("next", "next", job.sensor)
+    frames = tuple(replace(job.frames[0], image=blank, joints=each) for each in values)
+    ahead = replace(job, frames=frames)
+    parameters = Parameters.of(ahead, scene)
+    if not parameters.names or not P.isfinite().all():
+        return None
+    informations = list(foreseen(ahead, scene, parameters, state))
+    gains = torch.stack([_gain(P, information) for information in informations])
+    best = int(gains.argmax())
+    after = torch.linalg.inv(torch.linalg.inv(P) + informations[best])
+    return NextView(
+        joints=dict(zip(job.robot.joint_names, values[best].tolist(), strict=True)),
+        gain=float(gains[best]),
+        sigma=dict(zip(parameters.names, after.diagonal().sqrt().tolist(), strict=True)),
+    )
+
+
+def _images(job: Job, scene: Scene, parameters: Parameters, state: Tensor) -> Observation:
+    """Coarse images of all frames as the model predicts them, without noise."""
+    factor = _factor(job.sensor)
+    sensor = coarser_sensor(job.sensor, factor)
+    ranges, measured = [], []
+    for image in predictions(scene.surface, sensor, parameters, state, dtype=torch.float32):
+        inside = (image.range >= sensor.near) & (image.range <= sensor.far)
+        measured.append(inside & (image.synthesis.coverage > FILLED))
+        ranges.append(torch.where(measured[-1], image.range, 0.0))
+    of_all = torch.stack(ranges)
+    return Observation(
+        sensor=sensor,
+        range=of_all,
+        measured=torch.stack(measured),
+        sigma=sensor.noise.sigma(of_all) / factor,
+    )
+
+
+def _drift(sensor: Sensor) -> Drift | None:
+    """The slowly varying noise in pixels of the coarse images, where it is known."""
+    known = sensor.noise.drift
+    if known is None or known.sigma == 0.0:
+        return None
+    return replace(known, pixels=known.pixels / _factor(sensor))
+
+
+def _factor(sensor: Sensor) -> int:
+    """Side of the blocks of pixels that one of a foreseen image stands for."""
+    projection = sensor.projection
+    return max(1, min(8, min(projection.width, projection.height) // SIDE))
+
+
+def _configurations(limits: Tensor, generator: torch.Generator) -> Float[Tensor, "view joint"]:
+    """Values of all joints within their limits; a turn where there are none."""
+    low, high = limits.to(torch.float64).unbind(1)
+    low = torch.where(low.isfinite(), low, -math.pi)
+    high = torch.where(high.isfinite(), high, math.pi)
+    share = torch.rand(VIEWS, len(limits), generator=generator, dtype=torch.float64)
+    return low + (high - low) * share.to(low)
+
+
+def _gain(P: Tensor, information: Tensor) -> Tensor:
+    """Nats; of a square root of P, so that what is known exactly does no harm."""
+    scale = P.diagonal().clamp(min=0.0).sqrt()
+    value, vector = torch.linalg.eigh(P / scale[:, None] / scale)
+    root = scale[:, None] * vector * value.clamp(min=0.0).sqrt()
+    eye = torch.eye(len(P), dtype=P.dtype, device=P.device)
+    return 0.5 * torch.linalg.slogdet(eye + root.mT @ information @ root).logabsdet
