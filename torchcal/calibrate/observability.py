@@ -15,14 +15,14 @@ NAMED = 0.3
 LEVER = 1.0
 """m: at this distance a turn and a shift are compared."""
 AXIS_WORDS = {
-    "x": "a shift of the {} along x",
-    "y": "a shift of the {} along y",
-    "z": "a shift of the {} along z",
-    "rx": "a turn of the {} about x",
-    "ry": "a turn of the {} about y",
-    "rz": "a turn of the {} about z",
+    "x": "a shift of {} along x",
+    "y": "a shift of {} along y",
+    "z": "a shift of {} along z",
+    "rx": "a turn of {} about x",
+    "ry": "a turn of {} about y",
+    "rz": "a turn of {} about z",
 }
-BLOCKS = {"base": "base", "mount": "sensor's mount", "sensor": "sensor"}
+BLOCKS = {"base": "the base", "mount": "the sensor's mount", "sensor": "the sensor"}
 
 
 def unobservable_directions(
@@ -77,7 +77,7 @@ def parameter_words(name: str) -> str:
         return f"the {rest} of the sensor's range"
     owner, _, axis = name.rpartition(".")
     if block == "frames":
-        return AXIS_WORDS[axis].format(f"sensor in frame {rest.removesuffix(f'.{axis}')}")
+        return AXIS_WORDS[axis].format(f"the sensor in frame {rest.removesuffix(f'.{axis}')}")
     thing = BLOCKS.get(owner) or owner.removeprefix("objects.")
     return AXIS_WORDS[axis].format(thing)
 
