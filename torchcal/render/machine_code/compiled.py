@@ -15,6 +15,9 @@ PART = 512
 
 compiled = njit(nogil=True, cache=True, error_model="numpy")
 """Without fast-math: results are those of the same operations on tensors, to the last bit."""
+leaf = njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+"""The same for functions that make no arrays: none of them counts references to those it is given,
+which would cost more than most of them do, above all where threads count the same ones."""
 
 
 def in_threads(work: Callable[[_Task], _Done], tasks: Sequence[_Task]) -> list[_Done]:

@@ -7,7 +7,7 @@ import torch
 
 from torchcal.render.layer import Sums
 from torchcal.render.machine_code.cells import ray_of
-from torchcal.render.machine_code.compiled import compiled, in_threads, parts_of
+from torchcal.render.machine_code.compiled import compiled, in_threads, leaf, parts_of
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.motion import BodyMotion
 from torchcal.render.regions import Divided
@@ -92,14 +92,14 @@ def _add_rims(span, rims, mesh, moving, sums):
             _add_twist(motion, twist, 2 + kind * len(motion), sums[k])
 
 
-@compiled
+@leaf
 @no_type_check
 def _add_region(region, frame, mesh, limits, motion, twist, sums):
     """Adds the integral of a region's range, and its derivative: see ``Hits.averaged``."""
     vertices, faces = mesh
     _, to_u, to_v = frame
-    face, area, (x, y), (uu, uv, vv) = region
-    ray = ray_of(frame, x, y)
+    face, area, centroid, (uu, uv, vv) = region
+    ray = ray_of(frame, centroid)
     corner = vertices[faces[face, 0]]
     normal = plane(corner, vertices[faces[face, 1]], vertices[faces[face, 2]])
     scale = 1.0 / dot(normal, ray)
@@ -135,7 +135,7 @@ def _add_region(region, frame, mesh, limits, motion, twist, sums):
     _add_twist(motion, twist, 2, sums)
 
 
-@compiled
+@leaf
 @no_type_check
 def _add_twist(motion, twist, at, sums):
     """Adds the derivatives to the parameters from ``at`` on."""
