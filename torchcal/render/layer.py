@@ -85,7 +85,7 @@ def _pixel_frames(
     u, v = pixel_grid(projection, dtype=like.dtype, device=like.device)
     rays, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
     if sensor.beam > 0 and curves is not None:
-        rays = rays + (curves[0] + curves[2]) / 24.0
+        rays = rays + (curves[0] + curves[1]) / 24.0
     return rays, *projection.ray_derivatives(u, v)
 
 

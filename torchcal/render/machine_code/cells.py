@@ -2,8 +2,19 @@
 
 from typing import no_type_check
 
+import numpy as np
+
 from torchcal.render.cells import THIN
 from torchcal.render.machine_code.compiled import leaf
+from torchcal.render.squares import Squares
+
+
+def frames_of(squares: Squares) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The rays at the middle of squares, and how they turn along x and along y."""
+    origin, to_u, to_v = (
+        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
+    )
+    return origin, to_u, to_v
 
 
 @leaf

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from torchcal.render.layer import Sums
-from torchcal.render.machine_code.cells import ray_of
+from torchcal.render.machine_code.cells import frames_of, ray_of
 from torchcal.render.machine_code.compiled import compiled, in_threads, leaf, parts_of
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.motion import BodyMotion
@@ -19,12 +19,10 @@ def sums_of(divided: Divided, borders: Borders, views: Views, motion: BodyMotion
     """As ``integrals.sums_of``."""
     squares, own, rims = divided.squares, divided.regions, divided.rims
     count = len(squares.view)
-    frames = tuple(
-        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
-    )
     regions = tuple(
         each.numpy() for each in (own.square, own.face, own.area, own.centroid, own.spread)
     )
+    frames = frames_of(squares)
     levers = rims.total_lever.numpy(), rims.area_lever.numpy()
     edges = views.surface.edges[borders.edge]
     bodies = views.surface.vertex_body[edges[:, 0]]

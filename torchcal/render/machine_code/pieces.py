@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection
+from torchcal.render.machine_code.cells import frames_of
 from torchcal.render.machine_code.compiled import leaf
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.silhouette import Strokes
@@ -33,11 +34,8 @@ def clipped_and_seen(
     """
     points = np.empty((len(square), 2, 3))
     seen = np.zeros(len(square), np.bool_)
-    frames = tuple(
-        axis.contiguous().numpy() for axis in (squares.along_u, squares.along_v, squares.origin)
-    )
-    indices = square.numpy(), line.numpy()
-    _clip(ends.contiguous().numpy(), frames, *indices, corners.numpy(), behind, points, seen)
+    pairs = frames_of(squares), square.numpy(), line.numpy()
+    _clip(ends.contiguous().numpy(), *pairs, corners.numpy(), behind, points, seen)
     return torch.from_numpy(points), torch.from_numpy(seen)
 
 
@@ -96,7 +94,7 @@ def _pixels_between(low, high, size):
 @leaf
 @no_type_check
 def _clip(ends, frames, square, line, corners, behind, points, seen):
-    to_u, to_v, origin = frames
+    origin, to_u, to_v = frames
     last, fills = -1, False
     x_axis = y_axis = z_axis = gradient = (0.0, 0.0, 0.0)
     size = 1.0

@@ -9,7 +9,7 @@ from typing import no_type_check
 import numpy as np
 import torch
 
-from torchcal.render.machine_code.cells import cut_into_cells
+from torchcal.render.machine_code.cells import cut_into_cells, frames_of
 from torchcal.render.machine_code.compiled import compiled, in_threads, leaf, parts_of
 from torchcal.render.machine_code.cover import faces_near, look, planes_of_tile, uncovered
 from torchcal.render.machine_code.rims import add_rims
@@ -31,12 +31,9 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
     np.cumsum(np.bincount(pieces.square.numpy(), minlength=count), out=starts[1:])
     ends = pieces.low.numpy(), pieces.high.numpy(), pieces.range.numpy()
     of_pieces = (starts, *ends, pieces.line.numpy())
-    frames = tuple(
-        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
-    )
     tile = tile_numbers(squares.view, squares.u, squares.v, projection)
     tiles, boxes = faces_of_tiles(tile, views)
-    places = tile.numpy(), squares.u.numpy(), squares.v.numpy()
+    frames, places = frames_of(squares), (tile.numpy(), squares.u.numpy(), squares.v.numpy())
     mesh = vertices.contiguous().numpy(), surface.faces.numpy()
     edges = surface.edges[borders.edge].numpy(), surface.edge_faces[borders.edge].numpy()
     limits = float(views.sensor.near), float(views.sensor.far)
