@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchcal.render.beam import beam_area, box_sum
+from torchcal.render.beam import beam_area, box_sum, plain_box_sum
 
 
 def summed_by_loop(image: torch.Tensor, side: int) -> torch.Tensor:
@@ -24,6 +24,23 @@ def summed_by_loop(image: torch.Tensor, side: int) -> torch.Tensor:
 def test_the_box_is_clipped_at_the_border(rng: torch.Generator, side: int, batch: tuple[int, ...]):
     image = torch.randn(*batch, 13, 17, generator=rng, dtype=torch.float64)
     torch.testing.assert_close(box_sum(image, side), summed_by_loop(image, side))
+
+
+@pytest.mark.parametrize("side", [3, 21])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_boxes_are_the_same_by_tensors_and_in_machine_code(
+    rng: torch.Generator, side: int, dtype: torch.dtype
+):
+    image = torch.randn(3, 40, 25, generator=rng, dtype=dtype)
+    torch.testing.assert_close(box_sum(image, side), plain_box_sum(image, side))
+
+
+def test_where_a_box_is_empty_its_sum_is_0_to_the_last_bit(rng: torch.Generator):
+    image = torch.rand(30, 30, generator=rng, dtype=torch.float64)
+    image[8:20, 5:25] = 0.0
+    total = box_sum(image, 5)
+    assert (total[10:18, 7:23] == 0).all()
+    assert (total[9:19, 6:24] != 0).sum() > 0
 
 
 def test_a_box_of_one_pixel_changes_nothing(rng: torch.Generator):

@@ -53,7 +53,7 @@ def test_means_over_pixels_are_those_of_many_rays(projection: Projection, rng: t
     to_u, to_v = projection.ray_derivatives(u, v)
     ray, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
     if curves is not None:
-        ray = ray + (curves[0] + curves[2]) / 24.0
+        ray = ray + (curves[0] + curves[1]) / 24.0
 
     def mean(twist: Tensor) -> Hits:
         T = se3.exp(twist)

@@ -73,9 +73,27 @@ def test_one_thread_sees_what_two_see():
     assert torch.equal(*views)
 
 
+def pile(seed: int) -> Surface:
+    """Boxes and a ball that pass through one another: seams, some of them within a pixel."""
+    rng = np.random.default_rng(seed)
+    boxes = [
+        box(
+            tuple(rng.uniform(0.1, 0.9, 3)),
+            tuple(rng.uniform((-0.9, -0.7, 1.6), (0.9, 0.7, 3.4))),
+            tuple(rng.uniform(0.0, 3.0, 3)),
+        )
+        for _ in range(12)
+    ]
+    return surface_of(*boxes, ball(0.5, (0.1, 0.2, 2.5)))
+
+
 @pytest.mark.parametrize("projection", [CAMERA, LIDAR], ids=["pinhole", "spherical"])
 @pytest.mark.parametrize("beam", [1, 5])
-@pytest.mark.parametrize("make", [lambda: surface_of(*cell()), lambda: bumpy(3), behind])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: surface_of(*cell()), lambda: bumpy(3), behind, lambda: pile(0), lambda: pile(2)],
+    ids=["cell", "bumpy", "behind", "pile", "another pile"],
+)
 def test_without_numba_the_images_are_the_same(
     make, projection: Projection, beam: int, monkeypatch: pytest.MonkeyPatch, rng: torch.Generator
 ):

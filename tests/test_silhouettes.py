@@ -194,6 +194,31 @@ def test_two_bodies_that_end_together_count_once():
     torch.testing.assert_close(both, one)
 
 
+@pytest.mark.parametrize("angle_deg", [0.0, 7.0, -38.0, 81.0])
+@pytest.mark.parametrize("slope", [0.8, -0.5])
+def test_a_fold_has_the_mean_of_both_its_planes_in_every_pixel(angle_deg: float, slope: float):
+    """Ridges and valleys; the mean of 80 x 80 rays in each pixel."""
+    angle, side = math.radians(angle_deg), 2.5
+    across, along = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
+    corners = [
+        (0.013 + a * across[0] + b * along[0], a * across[1] + b * along[1], NEAR + slope * abs(a))
+        for a in (-side, 0.0, side)
+        for b in (-9.0, 9.0)
+    ]
+    faces = [[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4]]
+    fold = surface_of(trimesh.Trimesh(vertices=corners, faces=faces, process=False))
+    ranges = synthesise(fold, at_rest(fold), sensor_of(SQUARE, 1)).range
+    steps = (torch.arange(80, dtype=torch.float64) + 0.5) / 80 - 0.5
+    place = (torch.arange(24, dtype=torch.float64)[:, None] + steps).flatten()
+    v, u = torch.meshgrid(place, place, indexing="ij")
+    points = fold.vertices[fold.faces[[0, 2]]]
+    planes = torch.linalg.solve(points, torch.ones(2, 3, 1, dtype=torch.float64))[..., 0]
+    inverse = SQUARE.rays(u, v) @ planes.mT  # of both planes' ranges
+    inverse = inverse.amin(-1) if slope > 0 else inverse.amax(-1)
+    expected = (1.0 / inverse).unflatten(0, (24, 80)).unflatten(2, (24, 80)).mean((1, 3))
+    torch.testing.assert_close(ranges, expected, atol=3e-6, rtol=0)
+
+
 def jumps_of(step: float, beam: int) -> Tensor:
     """Columns in which a sheet that ends at u = 14.3 is seen before a wall behind it."""
     edge = (14.3 - SQUARE.cx) / SQUARE.fx * NEAR

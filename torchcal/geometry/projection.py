@@ -36,8 +36,8 @@ class Projection(Protocol):
         """The derivatives of the rays to u and to v, each ``(*batch, 3)``."""
         ...
 
-    def ray_curvatures(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor] | None:
-        """The second derivatives of the rays to u twice, u and v, v twice; None: all are 0."""
+    def ray_curvatures(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor] | None:
+        """The second derivatives of the rays to u and to v; None: all are 0."""
         ...
 
     def pixels(self, points: Tensor) -> Tensor:
@@ -190,16 +190,12 @@ class Spherical:
 
     def ray_curvatures(
         self, u: Float[Tensor, "*batch"], v: Float[Tensor, "*batch"]
-    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
-        """The second derivatives of the rays to u twice, u and v, v twice."""
+    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
+        """The second derivatives of the rays to u and to v."""
         az = self.azimuth[0] + u * self.azimuth_step
         el = self.elevation[0] + v * self.elevation_step
-        none = torch.zeros_like(az)
-        to_az2 = torch.stack([-az.sin() * el.cos(), none, -az.cos() * el.cos()], -1)
-        to_az_el = torch.stack([-az.cos() * el.sin(), none, az.sin() * el.sin()], -1)
-        az_step, el_step = self.azimuth_step, self.elevation_step
-        to_el2 = -self.rays(u, v)
-        return to_az2 * az_step**2, to_az_el * (az_step * el_step), to_el2 * el_step**2
+        to_az = torch.stack([-az.sin() * el.cos(), torch.zeros_like(az), -az.cos() * el.cos()], -1)
+        return to_az * self.azimuth_step**2, -self.rays(u, v) * self.elevation_step**2
 
     def pixels(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Pixel coordinates (u, v); the azimuth is taken within pi of the middle of the image."""

@@ -5,14 +5,28 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from torchcal.render.machine_code import is_traced, machine_code_for
+
 
 def box_sum(image: Float[Tensor, "*batch h w"], side: int) -> Float[Tensor, "*batch h w"]:
     """Sum over the part inside the image of the ``side`` x ``side`` box about each pixel (eq. 18).
 
+    On the CPU it is done in machine code where numba is installed, else, and if gradients are to
+    be traced, by tensors.
+
     Args:
-        image: Any batch of images.
+        image: Any batch of finite images.
         side: Odd number of pixels (2N + 1).
     """
+    if side == 1:
+        return image
+    module = None if is_traced(image) else machine_code_for(image, "beam")
+    of_images = plain_box_sum if module is None else module.box_sum
+    return of_images(image, side)
+
+
+def plain_box_sum(image: Float[Tensor, "*batch h w"], side: int) -> Float[Tensor, "*batch h w"]:
+    """The same by tensor operations, on any device."""
     height, width = image.shape[-2:]
     # A wider window holds the whole axis everywhere, too.
     rows, columns = min(side, 2 * height - 1), min(side, 2 * width - 1)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.sensor import Sensor
 from torchcal.render.facets import Facets, Spread
+from torchcal.render.machine_code import is_traced, machine_code_for
 from torchcal.render.motion import BodyMotion
 from torchcal.render.soup import Views
 from torchcal.render.squares import Squares
@@ -51,13 +52,28 @@ class Sums:
 def hard_layer(face: Int[Tensor, "view h w"], views: Views, motion: BodyMotion | None) -> Layer:
     """The layer as if every pixel were filled by the face that its central ray meets.
 
+    On the CPU it is done in machine code where numba is installed, else, and if gradients are to
+    be traced, by tensors.
+
     Args:
         face: Of the triangles of all views; -1 where there is none.
         views: What is seen from where.
         motion: How bodies move with the parameters.
     """
-    sensor = views.sensor
-    ray, to_u, to_v = _pixel_frames(sensor, views.vertices)
+    frames = _pixel_frames(views.sensor, views.vertices)
+    module = None if is_traced(views.vertices) else machine_code_for(views.vertices, "layer")
+    of_faces = plain_hard_layer if module is None else module.hard_layer
+    return of_faces(face, frames, views, motion)
+
+
+def plain_hard_layer(
+    face: Int[Tensor, "view h w"],
+    frames: tuple[Tensor, Tensor, Tensor],
+    views: Views,
+    motion: BodyMotion | None,
+) -> Layer:
+    """The same by tensor operations, on any device; ``frames`` are the pixels' rays."""
+    sensor, (ray, to_u, to_v) = views.sensor, frames
     hits = Facets.of(views.vertices, views.surface.faces).at(face, ray)
     if sensor.beam > 0:
         hits = hits.averaged(Spread.of_square(ray), to_u, to_v)
@@ -85,7 +101,7 @@ def _pixel_frames(
     u, v = pixel_grid(projection, dtype=like.dtype, device=like.device)
     rays, curves = projection.rays(u, v), projection.ray_curvatures(u, v)
     if sensor.beam > 0 and curves is not None:
-        rays = rays + (curves[0] + curves[2]) / 24.0
+        rays = rays + (curves[0] + curves[1]) / 24.0
     return rays, *projection.ray_derivatives(u, v)
 
 

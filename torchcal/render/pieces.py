@@ -48,7 +48,11 @@ class Pieces:
     """Of both ends, in lengths of the square's rays."""
 
     def select(self, keep: Tensor) -> "Pieces":
-        """The pieces to keep."""
+        """The pieces to keep, by a mask or by their places."""
+        if keep.dtype == torch.bool:
+            if keep.all():
+                return self
+            keep = torch.nonzero(keep)[:, 0]
         return Pieces(
             square=self.square[keep],
             line=self.line[keep],

@@ -114,10 +114,10 @@ def _between(face: Tensor, along_u: bool, views: Views) -> Tensor:
     du, dv = (1, 0) if along_u else (0, 1)
     height, width = face.shape[1:]
     one, other = face[:, : height - dv, : width - du], face[:, dv:, du:]
-    view, v, u = torch.nonzero((one != other) & (one >= 0) & (other >= 0), as_tuple=True)
+    view, v, u = torch.nonzero(one != other, as_tuple=True)
     pair = torch.stack([one[view, v, u], other[view, v, u]], -1)
-    strangers = _strangers(pair, views.surface.faces)
-    view, v, u, pair = view[strangers], v[strangers], u[strangers], pair[strangers]
+    may_meet = (pair >= 0).all(-1) & _strangers(pair, views.surface.faces)
+    v, u, pair = v[may_meet], u[may_meet], pair[may_meet]
     rays = [projection.rays((u + k * du).double(), (v + k * dv).double()) for k in (0, 1)]
     return pair[_meet(pair, rays, views)].sort(-1).values
 

@@ -2,11 +2,22 @@
 
 from typing import no_type_check
 
+import numpy as np
+
 from torchcal.render.cells import THIN
-from torchcal.render.machine_code.compiled import compiled
+from torchcal.render.machine_code.compiled import leaf
+from torchcal.render.squares import Squares
 
 
-@compiled
+def frames_of(squares: Squares) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The rays at the middle of squares, and how they turn along x and along y."""
+    origin, to_u, to_v = (
+        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
+    )
+    return origin, to_u, to_v
+
+
+@leaf
 @no_type_check
 def cut_into_cells(number, lines, cuts, cells):
     """Enters the cells (y, left x, right x: lower and upper) and the pieces at their right.
@@ -28,25 +39,25 @@ def cut_into_cells(number, lines, cuts, cells):
     return count
 
 
-@compiled
+@leaf
 @no_type_check
-def ray_of_cell(sides, frame):
-    """The ray of a cell's centroid: see ``cells.Cells``."""
-    a, b = sides[4] - sides[2], sides[5] - sides[3]
+def middle_of_cell(sides, c):
+    """The centroid (x, y) of a cell: see ``cells.Cells``."""
+    a, b = sides[c, 4] - sides[c, 2], sides[c, 5] - sides[c, 3]
     share = (a + 2.0 * b) / (3.0 * (a + b)) if a + b > 0.0 else 0.5
-    low, high = 0.5 * (sides[2] + sides[4]), 0.5 * (sides[3] + sides[5])
-    return ray_of(frame, low + share * (high - low), sides[0] + share * (sides[1] - sides[0]))
+    low, high = 0.5 * (sides[c, 2] + sides[c, 4]), 0.5 * (sides[c, 3] + sides[c, 5])
+    return low + share * (high - low), sides[c, 0] + share * (sides[c, 1] - sides[c, 0])
 
 
-@compiled
+@leaf
 @no_type_check
-def ray_of(frame, x, y):
-    """The ray of a point in a square: see ``Squares.rays``."""
-    o, u, v = frame
+def ray_of(frame, point):
+    """The ray of a point of a square: see ``Squares.rays``."""
+    (o, u, v), (x, y) = frame, point
     return (o[0] + x * u[0] + y * v[0], o[1] + x * u[1] + y * v[1], o[2] + x * u[2] + y * v[2])
 
 
-@compiled
+@leaf
 @no_type_check
 def _cuts(number, lines, cuts):
     """Sorts the y of the square's sides and of the ends and meetings of its pieces."""
@@ -74,7 +85,7 @@ def _cuts(number, lines, cuts):
     return count
 
 
-@compiled
+@leaf
 @no_type_check
 def _slab(number, slab, lines, at, cells):
     """Enters the cells of one slab from left to right; where the next slab's begin."""
@@ -103,7 +114,7 @@ def _slab(number, slab, lines, at, cells):
     return at + 1
 
 
-@compiled
+@leaf
 @no_type_check
 def _x(low, slope, i, y):
     return low[i, 0] + slope[i] * (y - low[i, 1])

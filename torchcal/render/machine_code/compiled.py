@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from numba import njit
@@ -13,8 +13,13 @@ _Done = TypeVar("_Done")
 PART = 512
 """Things that a thread takes at a time."""
 
+_njit: Any = njit  # its stubs do not know ``_nrt``
+
 compiled = njit(nogil=True, cache=True, error_model="numpy")
 """Without fast-math: results are those of the same operations on tensors, to the last bit."""
+leaf = _njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+"""The same for functions that make no arrays: none of them counts references to those it is given,
+which would cost more than most of them do, above all where threads count the same ones."""
 
 
 def in_threads(work: Callable[[_Task], _Done], tasks: Sequence[_Task]) -> list[_Done]:

@@ -6,8 +6,9 @@ import numpy as np
 import torch
 
 from torchcal.render.layer import Sums
-from torchcal.render.machine_code.cells import ray_of
-from torchcal.render.machine_code.compiled import compiled, in_threads, parts_of
+from torchcal.render.machine_code.cells import frames_of, ray_of
+from torchcal.render.machine_code.compiled import compiled, in_threads, leaf, parts_of
+from torchcal.render.machine_code.facets import mean_hit
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.motion import BodyMotion
 from torchcal.render.regions import Divided
@@ -19,17 +20,15 @@ def sums_of(divided: Divided, borders: Borders, views: Views, motion: BodyMotion
     """As ``integrals.sums_of``."""
     squares, own, rims = divided.squares, divided.regions, divided.rims
     count = len(squares.view)
-    frames = tuple(
-        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
-    )
     regions = tuple(
         each.numpy() for each in (own.square, own.face, own.area, own.centroid, own.spread)
     )
+    frames = frames_of(squares)
     levers = rims.total_lever.numpy(), rims.area_lever.numpy()
     edges = views.surface.edges[borders.edge]
     bodies = views.surface.vertex_body[edges[:, 0]]
     of_rims = rims.square.numpy(), rims.border.numpy(), levers, edges.numpy(), bodies.numpy()
-    moving, parameters = _motion_of(motion, views.count)
+    moving, parameters = motion_of(motion, views.count)
     moving = (*moving, squares.view.numpy())
     mesh = views.vertices.contiguous().numpy(), views.surface.faces.numpy()
     limits = float(views.sensor.near), float(views.sensor.far)
@@ -45,7 +44,7 @@ def sums_of(divided: Divided, borders: Borders, views: Views, motion: BodyMotion
     return Sums.split(torch.from_numpy(sums))
 
 
-def _motion_of(motion: BodyMotion | None, views: int) -> tuple[tuple[np.ndarray, ...], int]:
+def motion_of(motion: BodyMotion | None, views: int) -> tuple[tuple[np.ndarray, ...], int]:
     """Motion of each kind of body, the kinds of bodies, the bodies of faces; parameters."""
     if motion is None:
         none = np.zeros(0, np.int64)
@@ -92,50 +91,31 @@ def _add_rims(span, rims, mesh, moving, sums):
             _add_twist(motion, twist, 2 + kind * len(motion), sums[k])
 
 
-@compiled
+@leaf
 @no_type_check
 def _add_region(region, frame, mesh, limits, motion, twist, sums):
-    """Adds the integral of a region's range, and its derivative: see ``Hits.averaged``."""
+    """Adds the integral of a region's range, and its derivative: see ``mean_hit``."""
     vertices, faces = mesh
     _, to_u, to_v = frame
-    face, area, (x, y), (uu, uv, vv) = region
-    ray = ray_of(frame, x, y)
+    face, area, centroid, spread = region
+    ray = ray_of(frame, centroid)
     corner = vertices[faces[face, 0]]
     normal = plane(corner, vertices[faces[face, 1]], vertices[faces[face, 2]])
-    scale = 1.0 / dot(normal, ray)
-    distance = dot(normal, corner) * scale
-    slope_u, slope_v = dot(normal, to_u) * scale, dot(normal, to_v) * scale
-    across_u, across_v = uu * slope_u + uv * slope_v, uv * slope_u + vv * slope_v
-    excess = across_u * slope_u + across_v * slope_v
-    gain = 1.0 + excess
-    distance *= gain
+    distance, scale, ray = mean_hit(normal, dot(normal, corner), (ray, to_u, to_v), spread)
     if not limits[0] <= distance <= limits[1]:
         return
     sums[0] += distance * area
     sums[1] += area
     if not len(motion):
         return
-    size, total = distance * area / (gain * gain), gain + 2.0 * excess
+    push, size = scale * area, distance * area * scale
+    lever = cross(ray, normal)
     for j in range(3):
-        twist[j] = normal[j] * scale * gain * area
-    turn = (
-        across_u * to_u[0] + across_v * to_v[0],
-        across_u * to_u[1] + across_v * to_v[1],
-        across_u * to_u[2] + across_v * to_v[2],
-    )
-    arm = (
-        size * (total * ray[0] - 2.0 * turn[0]),
-        size * (total * ray[1] - 2.0 * turn[1]),
-        size * (total * ray[2] - 2.0 * turn[2]),
-    )
-    push = scale * gain
-    lever = cross(arm, (normal[0] * push, normal[1] * push, normal[2] * push))
-    for j in range(3):
-        twist[3 + j] = lever[j]
+        twist[j], twist[3 + j] = push * normal[j], size * lever[j]
     _add_twist(motion, twist, 2, sums)
 
 
-@compiled
+@leaf
 @no_type_check
 def _add_twist(motion, twist, at, sums):
     """Adds the derivatives to the parameters from ``at`` on."""

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from torchcal.geometry.projection import Projection
-from torchcal.render.machine_code.compiled import compiled
+from torchcal.render.machine_code.cells import frames_of
+from torchcal.render.machine_code.compiled import leaf
 from torchcal.render.machine_code.vectors import cross, dot, plane, row
 from torchcal.render.silhouette import Strokes
 from torchcal.render.squares import Squares
@@ -33,11 +34,8 @@ def clipped_and_seen(
     """
     points = np.empty((len(square), 2, 3))
     seen = np.zeros(len(square), np.bool_)
-    frames = tuple(
-        axis.contiguous().numpy() for axis in (squares.along_u, squares.along_v, squares.origin)
-    )
-    indices = square.numpy(), line.numpy()
-    _clip(ends.contiguous().numpy(), frames, *indices, corners.numpy(), behind, points, seen)
+    pairs = frames_of(squares), square.numpy(), line.numpy()
+    _clip(ends.contiguous().numpy(), *pairs, corners.numpy(), behind, points, seen)
     return torch.from_numpy(points), torch.from_numpy(seen)
 
 
@@ -52,7 +50,7 @@ def crossed_pixels(strokes: Strokes, projection: Projection) -> tuple[Tensor, Te
     return stroke, u, v
 
 
-@compiled
+@leaf
 @no_type_check
 def _cross_pixels(lines, size, found):
     """Enters strokes and pixels where there is room for them; how many there are."""
@@ -84,7 +82,7 @@ def _cross_pixels(lines, size, found):
     return count
 
 
-@compiled
+@leaf
 @no_type_check
 def _pixels_between(low, high, size):
     """The first pixel of a span, and the one beyond its last."""
@@ -93,10 +91,10 @@ def _pixels_between(low, high, size):
     return int(first), int(last) + 1
 
 
-@compiled
+@leaf
 @no_type_check
 def _clip(ends, frames, square, line, corners, behind, points, seen):
-    to_u, to_v, origin = frames
+    origin, to_u, to_v = frames
     last, fills = -1, False
     x_axis = y_axis = z_axis = gradient = (0.0, 0.0, 0.0)
     size = 1.0
@@ -132,7 +130,7 @@ def _clip(ends, frames, square, line, corners, behind, points, seen):
         seen[i] = not hidden
 
 
-@compiled
+@leaf
 @no_type_check
 def _share(start, end):
     """Where a line enters and leaves the pyramid of a square's rays, as shares of its length."""
@@ -150,7 +148,7 @@ def _share(start, end):
     return begin, finish
 
 
-@compiled
+@leaf
 @no_type_check
 def _front(corners, u, v, o):
     """Whether a face fills a square; 1 / range is x, y and 1 times what comes with it."""

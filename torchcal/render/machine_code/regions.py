@@ -9,9 +9,9 @@ from typing import no_type_check
 import numpy as np
 import torch
 
-from torchcal.render.machine_code.cells import cut_into_cells
-from torchcal.render.machine_code.compiled import compiled, in_threads, parts_of
-from torchcal.render.machine_code.cover import faces_near, look, uncovered
+from torchcal.render.machine_code.cells import cut_into_cells, frames_of
+from torchcal.render.machine_code.compiled import compiled, in_threads, leaf, parts_of
+from torchcal.render.machine_code.cover import faces_near, look, planes_of_tile, uncovered
 from torchcal.render.machine_code.rims import add_rims
 from torchcal.render.machine_code.seams import SEAMS, add_seams
 from torchcal.render.machine_code.vectors import row
@@ -31,12 +31,9 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
     np.cumsum(np.bincount(pieces.square.numpy(), minlength=count), out=starts[1:])
     ends = pieces.low.numpy(), pieces.high.numpy(), pieces.range.numpy()
     of_pieces = (starts, *ends, pieces.line.numpy())
-    frames = tuple(
-        axis.contiguous().numpy() for axis in (squares.origin, squares.along_u, squares.along_v)
-    )
     tile = tile_numbers(squares.view, squares.u, squares.v, projection)
     tiles, boxes = faces_of_tiles(tile, views)
-    places = tile.numpy(), squares.u.numpy(), squares.v.numpy()
+    frames, places = frames_of(squares), (tile.numpy(), squares.u.numpy(), squares.v.numpy())
     mesh = vertices.contiguous().numpy(), surface.faces.numpy()
     edges = surface.edges[borders.edge].numpy(), surface.edge_faces[borders.edge].numpy()
     limits = float(views.sensor.near), float(views.sensor.far)
@@ -63,24 +60,28 @@ def divide(squares: Squares, pieces: Pieces, borders: Borders, views: Views) -> 
 @no_type_check
 def _divide(part, pieces, frames, places, tiles, mesh, edges, limits):
     """Regions (square, face), their moments, rims (square, border), their levers."""
-    room = _room_for(part, pieces[0], places[0], tiles[0])
+    room, planes = _room_for(part, pieces[0], places[0], tiles[0])
     lines, _, cells, seen, facing = room
     region, moments = np.empty((1024, 2), np.int64), np.empty((1024, 6))
     rim, levers = np.empty((1024, 2), np.int64), np.empty((1024, 7))
     regions = rims = 0
+    tile = -1
     for k in range(part[0], part[1]):
+        if places[0][k] != tile:
+            tile = places[0][k]
+            planes_of_tile(tile, tiles, mesh, planes)
         frame = (row(frames[0], k), row(frames[1], k), row(frames[2], k))
-        found = faces_near(k, places, tiles, mesh, frame, facing)
-        number, count = _cut(k, pieces, found, mesh[1], frame, room)
+        found = faces_near(k, places, tiles, planes, frame, facing)
+        number, count = _cut(k, pieces, found, mesh[1], room)
         if regions + count > len(region):
             region, moments = _grown(region, count), _grown(moments, count)
         if rims + number > len(rim):
             rim, levers = _grown(rim, number), _grown(levers, number)
         last = regions
         for c in range(count):
-            regions = _add_cell((k, seen[0][c]), cells[0][c], last, regions, region, moments)
-        shown = (cells, seen[0], lines[3])
-        rims = add_rims(k, count, shown, mesh, edges, limits, frame, (rims, rim, levers))
+            regions = _add_cell((k, seen[0][c]), cells[0], c, (last, regions), region, moments)
+        shown, borders = (cells, seen, lines[3]), (mesh[0], *edges)
+        rims = add_rims(k, count, shown, facing[0], borders, limits, frame, (rims, rim, levers))
     # Copies, so that the room that was not needed is given back.
     return (
         region[:regions].copy(),
@@ -111,30 +112,30 @@ def _room_for(part, starts, tile, first):
     cells = np.empty((number, 6)), np.empty(number, np.int64)
     seen = np.empty(number, np.int64), np.empty(number, np.int64)
     facing = (
-        np.empty((near, 13)),
+        np.empty((near, 12)),
         np.empty(near, np.int64),
         np.empty(near),
         np.empty(near, np.int64),
     )
-    return lines, np.empty(slabs), cells, seen, facing
+    return (lines, np.empty(slabs), cells, seen, facing), np.empty((near, 13))
 
 
-@compiled
+@leaf
 @no_type_check
-def _cut(k, pieces, found, faces, frame, room):
+def _cut(k, pieces, found, faces, room):
     """Cuts one square and looks at what its cells show; how many lines and cells there are."""
     lines, slabs, cells, seen, facing = room
     number = _lines_of(k, pieces, lines)
     if number > CROWDED:
-        number = uncovered(number, lines, frame, facing, found)
+        number = uncovered(number, lines, facing, found)
     count = cut_into_cells(number, lines, slabs, cells)
-    look(count, cells, frame, facing, found, seen)
+    look(count, cells, facing, found, seen)
     if number <= CROWDED:
-        more = add_seams(count, number, (cells, seen), facing, found, faces, frame, lines)
+        more = add_seams(count, number, (cells, seen), facing, found, faces, lines)
         if more > number:
             number = more
             count = cut_into_cells(number, lines, slabs, cells)
-            look(count, cells, frame, facing, found, seen)
+            look(count, cells, facing, found, seen)
     return number, count
 
 
@@ -147,7 +148,7 @@ def _grown(rows, more):
     return grown
 
 
-@compiled
+@leaf
 @no_type_check
 def _lines_of(k, pieces, lines):
     """Copies the pieces of a square; how many there are."""
@@ -163,10 +164,11 @@ def _lines_of(k, pieces, lines):
     return number
 
 
-@compiled
+@leaf
 @no_type_check
-def _add_cell(key, sides, first, end, region, moments):
+def _add_cell(key, sides, c, span, region, moments):
     """Adds a cell's moments to those of its face; where the regions end after it."""
+    first, end = span
     i = end - 1
     while i >= first and region[i, 1] != key[1]:
         i -= 1
@@ -174,18 +176,26 @@ def _add_cell(key, sides, first, end, region, moments):
         i = end
         end += 1
         region[i, 0], region[i, 1] = key
-        moments[i] = 0.0
-    height = sides[1] - sides[0]
+        for j in range(6):
+            moments[i, j] = 0.0
+    height = sides[c, 1] - sides[c, 0]
+    area = x_sum = y_sum = xx_sum = xy_sum = yy_sum = 0.0
     for share in SHARES:
-        y = sides[0] + share * height
-        left = sides[2] + share * (sides[3] - sides[2])
-        right = sides[4] + share * (sides[5] - sides[4])
+        y = sides[c, 0] + share * height
+        left = sides[c, 2] + share * (sides[c, 3] - sides[c, 2])
+        right = sides[c, 4] + share * (sides[c, 5] - sides[c, 4])
         width, middle = right - left, 0.5 * (left + right)
         weight = 0.5 * height * width
-        moments[i, 0] += weight
-        moments[i, 1] += weight * middle
-        moments[i, 2] += weight * y
-        moments[i, 3] += weight * (middle * middle + width * width / 12.0)
-        moments[i, 4] += weight * middle * y
-        moments[i, 5] += weight * y * y
+        area += weight
+        x_sum += weight * middle
+        y_sum += weight * y
+        xx_sum += weight * (middle * middle + width * width / 12.0)
+        xy_sum += weight * middle * y
+        yy_sum += weight * y * y
+    moments[i, 0] += area
+    moments[i, 1] += x_sum
+    moments[i, 2] += y_sum
+    moments[i, 3] += xx_sum
+    moments[i, 4] += xy_sum
+    moments[i, 5] += yy_sum
     return end

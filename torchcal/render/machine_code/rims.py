@@ -3,68 +3,68 @@
 from typing import no_type_check
 
 from torchcal.render.machine_code.cells import ray_of
-from torchcal.render.machine_code.compiled import compiled
+from torchcal.render.machine_code.compiled import leaf
+from torchcal.render.machine_code.cover import inverse_range
 from torchcal.render.machine_code.seams import SEAM
-from torchcal.render.machine_code.vectors import cross, dot, plane, row
+from torchcal.render.machine_code.vectors import cross, dot, row
 from torchcal.render.regions import SHARES
 
 
-@compiled
+@leaf
 @no_type_check
-def add_rims(k, count, cells, mesh, edges, limits, frame, rims):
+def add_rims(k, count, shown, forms, borders, limits, frame, rims):
     """Adds the rims of a square, one for each of its pieces; where the rims end after it."""
-    (sides, piece), face, line = cells
+    (sides, piece), (face, place), line = shown
     end, rim, levers = rims
-    first = end
+    vertices, edges, edge_faces = borders
+    before = end
     for c in range(count):
         border = line[piece[c]] if piece[c] >= 0 else SEAM
-        if not 0 <= border < len(edges[0]) or face[c] == face[c + 1]:
+        if not 0 <= border < len(edges) or face[c] == face[c + 1]:
             continue
-        pair, own = (face[c], face[c + 1]), edges[1][border]
-        if (own[0] == pair[0] and own[1] == pair[1]) or (own[0] == pair[1] and own[1] == pair[0]):
+        own, seen = (edge_faces[border, 0], edge_faces[border, 1]), (face[c], face[c + 1])
+        if seen == own or seen == (own[1], own[0]):
             continue  # At an edge both of whose faces are seen the range does not jump.
         i = end - 1
-        while i >= first and rim[i, 1] != border:
+        while i >= before and rim[i, 1] != border:
             i -= 1
-        if i < first:
+        if i < before:
             i = end
             end += 1
             rim[i, 0], rim[i, 1] = k, border
-            levers[i] = 0.0
-        a, b = row(mesh[0], edges[0][border, 0]), row(mesh[0], edges[0][border, 1])
-        _add_lever(sides[c], (a, b), pair, mesh, limits, frame, levers[i])
+            levers[i, :] = 0.0
+        first, last = row(vertices, edges[border, 0]), row(vertices, edges[border, 1])
+        normal = cross(first, (last[0] - first[0], last[1] - first[1], last[2] - first[2]))
+        start = sides[c, 4], sides[c, 0]
+        delta = sides[c, 5] - sides[c, 4], sides[c, 1] - sides[c, 0]
+        pair = place[c], place[c + 1]
+        _add_lever((start, delta), normal, pair, forms, limits, frame, (levers, i))
     return end
 
 
-@compiled
+@leaf
 @no_type_check
-def _add_lever(sides, ends, pair, mesh, limits, frame, lever):
+def _add_lever(side, normal, pair, forms, limits, frame, lever):
     """What the motion of the side between two cells changes, and its step: see ``Rims``."""
-    dx, dy = sides[5] - sides[4], sides[1] - sides[0]
-    first, last = ends
-    along = (last[0] - first[0], last[1] - first[1], last[2] - first[2])
-    normal = cross(first, along)
+    (start, (dx, dy)), (levers, i) = side, lever
     rate = -(dx * dx + dy * dy) / (dot(normal, frame[1]) * dy - dot(normal, frame[2]) * dx)
     for share in SHARES:
-        x, y = sides[4] + share * dx, sides[0] + share * dy
-        ray = ray_of(frame, x, y)
-        near, far = _range(pair[0], ray, mesh, limits), _range(pair[1], ray, mesh, limits)
+        point = start[0] + share * dx, start[1] + share * dy
+        ray = ray_of(frame, point)
+        near, far = _range(pair[0], point, forms, limits), _range(pair[1], point, forms, limits)
         met = (1.0 if near != 0.0 else 0.0) - (1.0 if far != 0.0 else 0.0)
         if near != far:
-            lever[6] = max(lever[6], abs(near - far) / min(near, far))
+            levers[i, 6] = max(levers[i, 6], abs(near - far) / min(near, far))
         for axis in range(3):
-            lever[axis] += 0.5 * rate * (near - far) * ray[axis]
-            lever[3 + axis] += 0.5 * rate * met * ray[axis]
+            levers[i, axis] += 0.5 * rate * (near - far) * ray[axis]
+            levers[i, 3 + axis] += 0.5 * rate * met * ray[axis]
 
 
-@compiled
+@leaf
 @no_type_check
-def _range(face, ray, mesh, limits):
-    """Where a ray meets a face's plane; 0 beyond the limits and where there is no face."""
-    if face < 0:
+def _range(place, point, forms, limits):
+    """Where the plane of a face near is met; 0 beyond the limits and where there is no face."""
+    if place < 0:
         return 0.0
-    vertices, faces = mesh
-    corner = vertices[faces[face, 0]]
-    normal = plane(corner, vertices[faces[face, 1]], vertices[faces[face, 2]])
-    distance = dot(normal, corner) / dot(normal, ray)
+    distance = 1.0 / inverse_range(forms, place, point)
     return distance if limits[0] <= distance <= limits[1] else 0.0

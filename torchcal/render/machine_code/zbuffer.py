@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchcal.geometry.projection import Projection, pixel_grid
 from torchcal.render.boxes import pixel_boxes, tile_cones
-from torchcal.render.machine_code.compiled import compiled, in_threads
+from torchcal.render.machine_code.compiled import in_threads, leaf
 from torchcal.render.machine_code.vectors import cross, dot, plane
 from torchcal.render.soup import Views
 from torchcal.render.squares import TILE, tiles_of
@@ -89,7 +89,7 @@ def _cones_of_tiles(
     return axis.numpy(), sine.numpy()
 
 
-@compiled
+@leaf
 @no_type_check
 def _enter(vertices, faces, boxes, optics, rows, target):
     """Enters all faces of one view into some rows of the range and face images ``target``."""
@@ -110,7 +110,7 @@ def _enter(vertices, faces, boxes, optics, rows, target):
                 _draw(face, box, (*sides, normal), offset, optics, target)
 
 
-@compiled
+@leaf
 @no_type_check
 def _enter_tiles(mesh, optics, wanted, place, entries):
     """Counts the faces of tiles, and enters them from each tile's place on if there is room."""
@@ -146,7 +146,7 @@ def _enter_tiles(mesh, optics, wanted, place, entries):
                     place[tile] += 1
 
 
-@compiled
+@leaf
 @no_type_check
 def _draw(face, box, planes, offset, optics, target):
     """Enters one face at the pixels of its box, without the tiles that it does not touch."""
@@ -163,7 +163,7 @@ def _draw(face, box, planes, offset, optics, target):
                 _draw_span(face, span, planes, offset, rays, target)
 
 
-@compiled
+@leaf
 @no_type_check
 def _draw_span(face, span, planes, offset, rays, target):
     """Enters one face at neighbouring pixels of a row: free of branches, so it is vectorised."""
@@ -181,7 +181,7 @@ def _draw_span(face, span, planes, offset, rays, target):
         winner_row[u] = face if nearer else winner_row[u]
 
 
-@compiled
+@leaf
 @no_type_check
 def _may_touch(sides, axis, sine):
     """Whether a face may reach into a cone."""
@@ -191,7 +191,7 @@ def _may_touch(sides, axis, sine):
     return True
 
 
-@compiled
+@leaf
 @no_type_check
 def side_of(vertices, start, end, offset):
     """Normal of the plane through the sensor and a side, towards the inside of the face.
