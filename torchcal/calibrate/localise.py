@@ -13,7 +13,7 @@ from torchcal.calibrate.localisation import Localisation, Rival, StagePose
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
 from torchcal.calibrate.one_view import OneView, as_states, drawn_about, free_sensor
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.pixel_stage import PixelFit, block_fit, pixel_fit, refined
+from torchcal.calibrate.pixel_stage import PixelFit, block_fit, compared, pixel_fit
 from torchcal.calibrate.result import Status
 from torchcal.calibrate.site import Site
 from torchcal.calibrate.whereabouts import (
@@ -170,7 +170,7 @@ def _rivals(
     if not close.any():
         return ()
     poses = torch.cat([fit.T_world_sensor[None], found.Ts_world_sensor[close]])
-    solution = refined(block_fit(site, view, parameters), as_states(poses))
+    solution = compared(block_fit(site, view, parameters), as_states(poses))
     cost, state = solution.equations.cost, solution.state[:, 0]
     allowed = cost[0] + max(DECISIVE, RIVAL * float(cost[0]))
     known, rivals = [state[0]], []
