@@ -17,8 +17,6 @@ from torchcal.model.scene import body_poses, build_scene
 
 USABLE = 0.05
 """Share of the pixels that must be measured in a frame before it is used for the search."""
-CLOSE = 1.5
-"""Poses whose rays cost more than this many times the least are not followed further."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,7 +76,7 @@ def _poses(job: Job, k: int, site: Site) -> Float[Tensor, "pose 4 4"]:
     if len(poses) == 0:
         return nowhere.T_world_sensor[None]
     found = judged(site, view, free_sensor(nowhere, site.Ts_world_body), poses)
-    return found.Ts_world_sensor[found.cost <= CLOSE * found.cost[0]]
+    return found.close
 
 
 def _bases(job: Job, k: int, Ts_site_sensor: Tensor) -> Float[Tensor, "pose 4 4"]:

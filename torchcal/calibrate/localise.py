@@ -39,8 +39,6 @@ ratio that noise does not reach."""
 RIVAL = 0.01
 """Share of the cost that may be wrong in the same way: poses whose costs differ by less are
 rivals."""
-CLOSE = 1.5
-"""Poses whose rays cost more than this many times the least are no rivals."""
 ABOUT = (0.05, 0.02)
 """m and rad: how far off a pose from rays may be, for the matching of elements."""
 
@@ -165,11 +163,10 @@ def _rivals(
     site: Site, view: OneView, parameters: Parameters, found: Whereabouts, fit: PixelFit
 ) -> tuple[Rival, ...]:
     """Other poses whose predicted images, with the exact beam, explain the measured one as well."""
-    close = found.cost <= CLOSE * found.cost[0]
-    close[0] = False
-    if not close.any():
+    others = found.close[1:]
+    if len(others) == 0:
         return ()
-    poses = torch.cat([fit.T_world_sensor[None], found.Ts_world_sensor[close]])
+    poses = torch.cat([fit.T_world_sensor[None], others])
     solution = compared(block_fit(site, view, parameters), as_states(poses))
     cost, state = solution.equations.cost, solution.state[:, 0]
     allowed = cost[0] + max(DECISIVE, RIVAL * float(cost[0]))
