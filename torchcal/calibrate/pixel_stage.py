@@ -30,7 +30,7 @@ PIXELS = GaussNewtonConfig(iterations=6, ripple=0.005, curvature=CURVATURE, trus
 """On every pixel: a step of so many standard deviations leaves less than a tenth of one."""
 UNKNOWN = replace(PIXELS, longest=1.5, trusted=1.0)
 """Where nobody knows the noise: the derivatives may be noisy, too."""
-RIVALS = replace(BLOCKS, trusted=5.0)
+RIVALS = replace(BLOCKS, iterations=6, trusted=5.0)
 """For costs: what such a step takes off is less than noise may."""
 AGREEING = 3.0
 """Standard deviations within which a block of pixels agrees with the prediction."""

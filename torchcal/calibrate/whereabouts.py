@@ -44,7 +44,7 @@ APART = 0.05
 """m and rad: poses that differ by less are one."""
 STEPS = GaussNewtonConfig(iterations=6, ripple=0.01, tolerance=0.3, trusted=1.0)
 """Of all fits but the last: with such tolerances their ends need not be exact."""
-LAST_STEPS = replace(STEPS, iterations=20, trusted=5.0)
+LAST_STEPS = replace(STEPS, iterations=20)
 """What will end in one place should be there: every pose too many is compared on blocks."""
 CLOSE = 1.5
 """Poses whose rays cost more than this many times the least are not followed further."""
