@@ -45,7 +45,7 @@ def locate(job: Job, generator: torch.Generator) -> Located:
     found = _poses(job, k, site)
     bases = _bases(job, k, found)
     return Located(
-        job=_told(job, bases[0], float((site.high - site.low).norm())),
+        job=_told(job, bases[0], site.extent),
         states=torch.stack([bases, job.T_link_sensor.expand_as(bases)], 1),
     )
 
@@ -98,10 +98,9 @@ def _carried(job: Job, k: int) -> Float[Tensor, "4 4"]:
     return links[job.robot.link_index(job.link)]
 
 
-def _told(job: Job, base: Tensor, extent: float) -> Job:
+def _told(job: Job, base: Tensor, sigma: Tensor) -> Job:
     """The job with a nominal base, or poses of all frames, and a prior that says nothing."""
-    sigma = torch.tensor([extent] * 3 + [torch.pi] * 3).to(base)
-    told = replace(job, base=PosePrior(sigma=sigma))
+    told = replace(job, base=PosePrior(sigma=sigma.to(base)))
     if job.robot is not None:
         return replace(told, T_world_base=base)
     frames = (

@@ -14,7 +14,7 @@ from torchcal.calibrate.one_view import OneView, as_states
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.ray_fit import RayFit
 from torchcal.calibrate.site import Site
-from torchcal.geometry import se3
+from torchcal.geometry import robust, se3
 from torchcal.match.directions import Directions, aligning_rotations
 from torchcal.match.features import Planes
 from torchcal.match.volume import peaks
@@ -32,7 +32,7 @@ JUDGED = 300
 """Most poses whose images are predicted."""
 SHARE, LEAST_FITTED = 12, 4
 """One pose in so many is fitted to the coarse image, and so many at least."""
-KEPT = 6
+KEPT = 8
 """Poses that are fitted to the fine one."""
 FIRST_TOLERANCE = 0.2
 """m: what ranges may be off by before any fit."""
@@ -49,6 +49,11 @@ LAST_STEPS = replace(STEPS, iterations=20)
 CLOSE = 1.5
 """Poses whose rays cost more than this many times the least are not followed further."""
 
+UNEXPLAINED = robust.EFFICIENT**2 / 6.0
+"""Cost of a pixel that is beyond the cut-off."""
+PROMISING = 0.6
+"""Share of what poses cost that explain nothing."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Whereabouts:
@@ -62,6 +67,11 @@ class Whereabouts:
     def close(self) -> Float[Tensor, "close 4 4"]:
         """The poses that explain the image nearly as well as the best, and that one first."""
         return self.Ts_world_sensor[self.cost <= CLOSE * self.cost[0]]
+
+    @property
+    def promising(self) -> bool:
+        """Whether the best pose explains so much that it is worth a look at every pixel."""
+        return float(self.cost[0]) < PROMISING * UNEXPLAINED
 
 
 def poses_anywhere(site: Site, view: OneView, planes: Planes) -> Float[Tensor, "pose 4 4"]:

@@ -66,11 +66,10 @@ class GaussNewtonConfig:
     """Most that a step is lengthened where the gradient falls more slowly than the information
     says, as it does where the derivatives are themselves noisy."""
     curvature: float = 1.0
-    """How fast the gradient falls, over what the information says. Robust weights near a minimum:
-    ``robust.relative_curvature``; steps then leave the square of what they were off by."""
+    """How fast the gradient falls, over what the information says; with robust weights near a
+    minimum, ``robust.relative_curvature``: steps then converge quadratically."""
     trusted: float = 0.0
-    """A step that is shorter than this many of its own standard deviations is the last, and what
-    it leads to is not evaluated any more."""
+    """A step shorter than this many of its standard deviations is the last and not evaluated."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,7 +105,8 @@ def minimise(
     element = torch.arange(len(state), device=state.device)
     running = whole
     for _ in range(config.iterations):
-        running = _trusting(running, retract, config)
+        if config.trusted > 0.0:
+            running = _trusting(running, retract, config)
         keep = running.stop == StopReason.ITERATIONS
         if not keep.all():
             whole = whole.put(element, running)
@@ -193,9 +193,7 @@ def _iterate(
     allowed = (1.0 + config.ripple) * now.cost
     accept = length.isfinite() & _is_finite(trial) & (trial.cost <= allowed)
     seen = accept & (length > 1.0)  # shorter steps see the ripple and not the curvature
-    slopes = now.slopes + torch.where(
-        seen[:, None], _slopes(equations, trial, step, config.curvature), 0.0
-    )
+    slopes = now.slopes + torch.where(seen[:, None], _slopes(equations, trial, step), 0.0)
     kept = trial.where(accept, equations)
     damping = torch.where(accept, 0.1 * now.damping, 10.0 * now.damping).clamp(min=LEAST_DAMPING)
     stop = torch.where(damping > MOST_DAMPING, StopReason.STUCK.value, now.stop)
@@ -215,13 +213,10 @@ def _trusting(
     now: _Progress, retract: Callable[[Tensor, Tensor], Tensor], config: GaussNewtonConfig
 ) -> _Progress:
     """Takes the last step of every element that is so near that it need not be evaluated."""
-    if config.trusted == 0.0:
-        return now
     step, length = _next_step(now, config)
     last = (now.stop == StopReason.ITERATIONS) & (length < config.trusted)
-    state = torch.where(_broadcast(last, now.state), retract(now.state, step), now.state)
     return now._replace(
-        state=state,
+        state=torch.where(_broadcast(last, now.state), retract(now.state, step), now.state),
         stop=torch.where(last, StopReason.CONVERGED.value, now.stop),
         iterations=now.iterations + last,
     )
@@ -231,16 +226,14 @@ def _next_step(now: _Progress, config: GaussNewtonConfig) -> tuple[Tensor, Tenso
     """The damped step with its lengthening; its length is that without either."""
     step, length = _damped_step(now.equations(), now.damping)
     seen = _curvature(now.slopes).clamp(min=1.0 / config.longest)
-    return step / (config.curvature * seen)[:, None], length
+    return step / seen.clamp(max=config.curvature)[:, None], length
 
 
-def _slopes(
-    before: NormalEquations, after: NormalEquations, step: Tensor, curvature: float
-) -> Tensor:
-    """How much the gradient fell along each step, and how much it was expected to."""
+def _slopes(before: NormalEquations, after: NormalEquations, step: Tensor) -> Tensor:
+    """How much the gradient fell along each step, and how much the information says it should."""
     fell = ((before.gradient - after.gradient) * step).sum(-1)
     expected = ((before.information @ step[..., None])[..., 0] * step).sum(-1)
-    return torch.stack([fell, curvature * expected], -1)
+    return torch.stack([fell, expected], -1)
 
 
 def _curvature(slopes: Tensor) -> Tensor:
