@@ -231,3 +231,44 @@ def test_steps_are_lengthened_where_the_gradient_falls_too_slowly():
     longer = minimise(shared(overstated), add, start, GaussNewtonConfig(iterations=6, longest=20.0))
     assert_close(plain.state / start, torch.full((2, 1), 0.9**6).to(start), rtol=1e-3, atol=0)
     assert ((longer.state / start).abs() < 1e-2).all()
+
+
+def test_a_short_last_step_is_taken_and_its_end_not_evaluated(rng):
+    A = torch.randn(2, 9, 3, generator=rng, dtype=torch.float64)
+    y = 10.0 * torch.randn(2, 9, generator=rng, dtype=torch.float64)
+    looks = []
+
+    def evaluate(x: torch.Tensor, i: torch.Tensor) -> NormalEquations:
+        looks.append(i.tolist())
+        return equations(y[i] - (A[i] @ x[..., None])[..., 0], A[i])
+
+    near = torch.linalg.lstsq(A, y[..., None]).solution[..., 0]
+    start = torch.stack([near[0] + 1e-3, near[1] + 1e3])
+    solution = minimise(evaluate, add, start, GaussNewtonConfig(damping=1e-12, trusted=1.0))
+    assert looks == [[0, 1], [1]]
+    assert solution.stop.eq(StopReason.CONVERGED).all()
+    assert_close(solution.state, near)
+
+
+def test_a_known_curvature_makes_robust_steps_converge_at_once(rng):
+    y = torch.randn(20_000, generator=rng, dtype=torch.float64)
+    c = torch.tensor(robust.EFFICIENT, dtype=torch.float64)
+
+    def evaluate(x: torch.Tensor) -> NormalEquations:
+        v = y - x
+        w = robust.biweight(v, c)
+        return NormalEquations(
+            cost=robust.biweight_cost(v, c).sum(-1),
+            information=w.sum(-1)[:, None, None],
+            gradient=(w * v).sum(-1)[:, None],
+        )
+
+    def left(**settings: float) -> float:
+        """Share of a start of 0.1 off the minimum that one step leaves."""
+        config = GaussNewtonConfig(iterations=1, damping=1e-9, **settings)
+        return float(minimise(shared(evaluate), add, best + 0.1, config).state - best) / 0.1
+
+    best = minimise(shared(evaluate), add, torch.zeros(1, 1).to(y), EXACT).state
+    curvature = float(robust.relative_curvature(c))
+    assert abs(left() - (1.0 - curvature)) < 0.02
+    assert abs(left(curvature=curvature)) < 0.02

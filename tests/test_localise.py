@@ -201,3 +201,19 @@ def test_noise_that_nobody_knows_is_estimated(room: Site, image: Tensor):
     assert found.status is Status.CONVERGED
     assert found.pixels is not None
     assert float(in_sigmas(found.pixels, TRUTH)) < 5.0
+
+
+def test_a_wall_is_seen_by_its_area_in_the_image():
+    site = site_of(WALL)
+    (area,) = site.seen_from(
+        torch.eye(4, dtype=torch.float64), SENSOR, jump=0.1
+    ).plane_area.tolist()
+    # At 2 m a pixel of focal lengths 120 and 121 shows (2 / 120) x (2 / 121) m.
+    assert area == pytest.approx(128 * 128 * 4.0 / (120.0 * 121.0), rel=0.01)
+
+
+def test_nothing_is_known_of_a_pose_but_the_site():
+    hall = site_of(HALL)
+    assert hall.extent.tolist() == pytest.approx([math.sqrt(41.0)] * 3 + [math.pi] * 3)
+    torch.testing.assert_close(hall.middle.T_world_sensor, torch.eye(4, dtype=torch.float64))
+    torch.testing.assert_close(hall.middle.covariance.diagonal().sqrt(), hall.extent)

@@ -17,8 +17,6 @@ from torchcal.model.scene import body_poses, build_scene
 
 USABLE = 0.05
 """Share of the pixels that must be measured in a frame before it is used for the search."""
-CLOSE = 1.5
-"""Poses whose rays cost more than this many times the least are not followed further."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,7 +45,7 @@ def locate(job: Job, generator: torch.Generator) -> Located:
     found = _poses(job, k, site)
     bases = _bases(job, k, found)
     return Located(
-        job=_told(job, bases[0], float((site.high - site.low).norm())),
+        job=_told(job, bases[0], site.extent),
         Ts_world_base=bases,
     )
 
@@ -78,7 +76,7 @@ def _poses(job: Job, k: int, site: Site) -> Float[Tensor, "pose 4 4"]:
     if len(poses) == 0:
         return nowhere.T_world_sensor[None]
     found = judged(site, view, free_sensor(nowhere, site.Ts_world_body), poses)
-    return found.Ts_world_sensor[found.cost <= CLOSE * found.cost[0]]
+    return found.close
 
 
 def _bases(job: Job, k: int, Ts_site_sensor: Tensor) -> Float[Tensor, "pose 4 4"]:
@@ -100,10 +98,9 @@ def _carried(job: Job, k: int) -> Float[Tensor, "4 4"]:
     return links[job.robot.link_index(job.link)]
 
 
-def _told(job: Job, base: Tensor, extent: float) -> Job:
+def _told(job: Job, base: Tensor, sigma: Tensor) -> Job:
     """The job with a nominal base, or poses of all frames, and a prior that says nothing."""
-    sigma = torch.tensor([extent] * 3 + [torch.pi] * 3).to(base)
-    told = replace(job, base=PosePrior(sigma=sigma))
+    told = replace(job, base=PosePrior(sigma=sigma.to(base)))
     if job.robot is not None:
         return replace(told, T_world_base=base)
     frames = (

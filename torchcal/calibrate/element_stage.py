@@ -16,11 +16,9 @@ from torchcal.match.characteristics import Candidates, all_elements, find_candid
 from torchcal.match.detection import nearest_candidate
 from torchcal.match.features import Features
 from torchcal.match.model.expected import expected_features
-from torchcal.match.model.visibility import visible
 from torchcal.match.one_place import in_one_place
 from torchcal.match.prior_gate import Prior
 from torchcal.model.sensor import Sensor
-from torchcal.render.synthesis import synthesise
 
 LEAST_PIXELS = 20.0
 """Least length of a line, and side of a plane's square, that an image is expected to show."""
@@ -81,11 +79,8 @@ def element_fit(
 
 
 def _expected(site: Site, sensor: Sensor, T_world_sensor: Float[Tensor, "4 4"]) -> Features:
-    projection = sensor.projection.resized(HALVED)
-    poses = se3.inverse(T_world_sensor) @ site.Ts_world_body
-    rays = replace(sensor, projection=projection, beam=0)
-    face = synthesise(site.surface, poses.to(site.surface.vertices), rays).face
-    seen = visible(site.features, T_world_sensor, projection, face, jump=LEAST_JUMP)
+    halved = replace(sensor, projection=sensor.projection.resized(HALVED))
+    seen = site.seen_from(T_world_sensor, halved, jump=LEAST_JUMP)
     return expected_features(site.features, seen, pixels=LEAST_PIXELS / HALVED).features
 
 

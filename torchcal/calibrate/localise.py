@@ -1,7 +1,8 @@
 """The pose of a sensor from one range image, with and without a starting value (3.1, 4.2)."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -13,7 +14,7 @@ from torchcal.calibrate.localisation import Localisation, Rival, StagePose
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
 from torchcal.calibrate.one_view import OneView, as_states, drawn_about, free_sensor
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.pixel_stage import PixelFit, block_fit, pixel_fit, refined
+from torchcal.calibrate.pixel_stage import PixelFit, block_fit, compared, pixel_fit
 from torchcal.calibrate.result import Status
 from torchcal.calibrate.site import Site
 from torchcal.calibrate.whereabouts import (
@@ -39,10 +40,8 @@ ratio that noise does not reach."""
 RIVAL = 0.01
 """Share of the cost that may be wrong in the same way: poses whose costs differ by less are
 rivals."""
-CLOSE = 1.5
-"""Poses whose rays cost more than this many times the least are no rivals."""
-ABOUT = (0.05, 0.02)
-"""m and rad: how far off a pose from rays may be, for the matching of elements."""
+ABOUT = (0.03, 0.01)
+"""m and rad: twice what first poses are off by; pairs of elements are gated by it."""
 
 
 def localise(
@@ -75,15 +74,13 @@ def localise(
     with clock.measured("elements of the image"):
         measured = image_features(range_image.double(), sensor, mask)
     view = OneView.of(range_image, sensor, mask)
-    found = _found(view, site, measured.planes, start, generator, clock)
-    if found.pixels is None:
-        return found
+    attempt = _attempted(view, site, measured.planes, start, generator, clock)
+    if attempt is None:
+        return _nothing(clock)
     with clock.measured("pose from elements"):
-        about = Prior(T_world_sensor=found.pixels.T_world_sensor, covariance=_about(site))
-        elements = element_fit(site, sensor, measured, about, generator)
-    return replace(
-        found, elements=elements.pose, matches=elements.matches, seconds=dict(clock.seconds)
-    )
+        elements = element_fit(site, sensor, measured, _about(attempt.found), generator)
+    found = _concluded(site, view, start, attempt, clock)
+    return replace(found, elements=elements.pose, matches=elements.matches)
 
 
 def localise_pixels(
@@ -99,60 +96,94 @@ def localise_pixels(
 
     The arguments are those of ``localise``.
     """
-    view = OneView.of(range_image, sensor, mask)
-    return _found(view, site, None, start, generator, Clock())
+    view, clock = OneView.of(range_image, sensor, mask), Clock()
+    attempt = _attempted(view, site, None, start, generator, clock)
+    return _nothing(clock) if attempt is None else _concluded(site, view, start, attempt, clock)
 
 
-def _found(
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Attempt:
+    """First poses, and what the best of them becomes on every pixel."""
+
+    found: Whereabouts
+    fit: PixelFit
+
+
+def _attempted(
     view: OneView,
     site: Site,
     planes: Planes | None,
     start: Prior | None,
     generator: torch.Generator,
     clock: Clock,
-) -> Localisation:
-    """The pose from every pixel, its rivals and its status."""
-    parameters = free_sensor(start or site.middle, site.Ts_world_body)
-    best = None
-    for poses in _first_poses(site, view, planes, start, generator):
-        with clock.measured("coarse search"):
-            found = judged(site, view, parameters, poses)
+) -> _Attempt | None:
+    """The first attempt that explains the image, or the best; None without anything to try."""
+    parameters, best = _unknown(site, start), None
+    for found in _searched(view, site, planes, start, generator, clock):
         with clock.measured("every pixel"):
             fit = pixel_fit(site, view, parameters, found.Ts_world_sensor[0])
-        if best is None or fit.agreement > best[1].agreement:
-            best = found, fit
+        if best is None or fit.agreement > best.fit.agreement:
+            best = _Attempt(found=found, fit=fit)
         if fit.agreement >= EXPLAINED:
             break
-    if best is None:
-        return _nothing(clock)
-    with clock.measured("rivals"):
-        rivals = _rivals(site, view, parameters, *best)
-    return _concluded(parameters, start, *best, rivals, clock)
+    return best
 
 
-def _about(site: Site) -> Float[Tensor, "6 6"]:
-    position, rotation = ABOUT
-    return torch.diag(torch.tensor([position] * 3 + [rotation] * 3).to(site.low).square())
-
-
-def _first_poses(
-    site: Site,
+def _searched(
     view: OneView,
+    site: Site,
     planes: Planes | None,
     start: Prior | None,
     generator: torch.Generator,
-) -> Iterator[Float[Tensor, "pose 4 4"]]:
-    """About the start first, then, as the last resort with a start, all that planes suggest."""
+    clock: Clock,
+) -> Iterator[Whereabouts]:
+    """What explains the coarse image as it is found, and last the best of all that does not."""
     if not view.coarse.measured.any():
         return
+    parameters, others = _unknown(site, start), []
+    for draw in _first_poses(view, site, planes, start, generator):
+        with clock.measured("coarse search"):
+            poses = draw()
+            found = judged(site, view, parameters, poses) if len(poses) else None
+        if found is not None and found.promising:
+            yield found
+        elif found is not None:
+            others.append(found)
+    if others:
+        yield min(others, key=lambda found: float(found.cost[0]))
+
+
+def _first_poses(
+    view: OneView,
+    site: Site,
+    planes: Planes | None,
+    start: Prior | None,
+    generator: torch.Generator,
+) -> Iterator[Callable[[], Float[Tensor, "pose 4 4"]]]:
+    """About the start first, then, as the last resort with a start, all that planes suggest."""
     if start is not None:
-        for count in DRAWS:
-            yield drawn_about(start, count, generator)
-    poses = site.Ts_world_body[:0] if planes is None else poses_anywhere(site, view, planes)
-    if start is not None:
-        poses = poses[_is_near(poses, start)]
-    if len(poses):
-        yield poses
+        yield from (partial(drawn_about, start, count, generator) for count in DRAWS)
+    if planes is not None:
+        yield partial(_anywhere, view, site, planes, start)
+
+
+def _anywhere(
+    view: OneView, site: Site, planes: Planes, start: Prior | None
+) -> Float[Tensor, "pose 4 4"]:
+    poses = poses_anywhere(site, view, planes)
+    return poses if start is None else poses[_is_near(poses, start)]
+
+
+def _unknown(site: Site, start: Prior | None) -> Parameters:
+    return free_sensor(start or site.middle, site.Ts_world_body)
+
+
+def _about(found: Whereabouts) -> Prior:
+    """The first pose as a starting value for elements."""
+    position, rotation = ABOUT
+    T = found.Ts_world_sensor[0]
+    sigma = torch.tensor([position] * 3 + [rotation] * 3).to(T)
+    return Prior(T_world_sensor=T, covariance=torch.diag(sigma.square()))
 
 
 def _is_near(poses: Float[Tensor, "pose 4 4"], start: Prior) -> Bool[Tensor, " pose"]:
@@ -165,12 +196,11 @@ def _rivals(
     site: Site, view: OneView, parameters: Parameters, found: Whereabouts, fit: PixelFit
 ) -> tuple[Rival, ...]:
     """Other poses whose predicted images, with the exact beam, explain the measured one as well."""
-    close = found.cost <= CLOSE * found.cost[0]
-    close[0] = False
-    if not close.any():
+    others = found.close[1:]
+    if len(others) == 0:
         return ()
-    poses = torch.cat([fit.T_world_sensor[None], found.Ts_world_sensor[close]])
-    solution = refined(block_fit(site, view, parameters), as_states(poses))
+    poses = torch.cat([fit.T_world_sensor[None], others])
+    solution = compared(block_fit(site, view, parameters), as_states(poses))
     cost, state = solution.equations.cost, solution.state[:, 0]
     allowed = cost[0] + max(DECISIVE, RIVAL * float(cost[0]))
     known, rivals = [state[0]], []
@@ -182,13 +212,12 @@ def _rivals(
 
 
 def _concluded(
-    parameters: Parameters,
-    start: Prior | None,
-    found: Whereabouts,
-    fit: PixelFit,
-    rivals: tuple[Rival, ...],
-    clock: Clock,
+    site: Site, view: OneView, start: Prior | None, attempt: _Attempt, clock: Clock
 ) -> Localisation:
+    """What is said of an attempt, after its rivals were looked at."""
+    parameters, fit, found = _unknown(site, start), attempt.fit, attempt.found
+    with clock.measured("rivals"):
+        rivals = _rivals(site, view, parameters, found, fit)
     status = _status(parameters, start, fit, rivals)
     told = fit.covariance.isfinite().all()
     return Localisation(

@@ -1,6 +1,6 @@
 """The pose from every pixel (eq. 2, 9 to 16), from coarse to fine with the exact beam."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -9,12 +9,13 @@ from torch import Tensor
 from torchcal.calibrate.observation import Observation, coarser
 from torchcal.calibrate.one_view import OneView, as_states
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.range_fit import FrameResidual, RangeFit
 from torchcal.calibrate.refine import Refined, estimated_covariance, with_noise
 from torchcal.calibrate.site import Site
 from torchcal.geometry import robust
 from torchcal.solve.gauss_newton import (
     GaussNewtonConfig,
+    NormalEquations,
     Solution,
     StopReason,
     covariance,
@@ -22,9 +23,15 @@ from torchcal.solve.gauss_newton import (
     shared,
 )
 
-COARSE = GaussNewtonConfig(iterations=10, ripple=0.005, tolerance=1.0, longest=1.5)
-FINE = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=1.0, longest=1.5)
-"""A step that is shorter than a standard deviation leaves less than a tenth of one."""
+CURVATURE = float(robust.relative_curvature(torch.tensor(robust.EFFICIENT, dtype=torch.float64)))
+BLOCKS = GaussNewtonConfig(iterations=10, ripple=0.005, curvature=CURVATURE, trusted=60.0)
+"""On blocks: a step of so many standard deviations leaves about a tenth of it."""
+PIXELS = GaussNewtonConfig(iterations=6, ripple=0.005, curvature=CURVATURE, trusted=20.0)
+"""On every pixel: a step of so many standard deviations leaves less than a tenth of one."""
+UNKNOWN = replace(PIXELS, longest=1.5, trusted=1.0)
+"""Where nobody knows the noise: the derivatives may be noisy, too."""
+RIVALS = replace(BLOCKS, iterations=6, trusted=5.0)
+"""For costs: what such a step takes off is less than noise may."""
 AGREEING = 3.0
 """Standard deviations within which a block of pixels agrees with the prediction."""
 SLOW = 0.5
@@ -54,17 +61,18 @@ def pixel_fit(
         parameters: The sensor's pose and its prior.
         T_world_sensor: Where to start: within about a block of pixels.
     """
-    blocks = block_fit(site, view, parameters)
-    coarse = refined(blocks, as_states(T_world_sensor)[None])
-    fit = replace(blocks, observation=view.observation)
+    blocks, state = block_fit(site, view, parameters), as_states(T_world_sensor)[None]
+    fit, config = replace(blocks, observation=view.observation), PIXELS
+    if blocks.observation is not view.observation:
+        state = _fitted(blocks, state, BLOCKS).state
     if view.observation.sensor.noise.drift is None:
-        fit = with_noise(fit, coarse.state[0], 1)
-    solution = _fitted(fit, coarse.state, FINE)
-    state = solution.state[0]
+        fit, config = with_noise(fit, state[0], 1), UNKNOWN
+    watched = _Watched(fit=fit)
+    solution = minimise(shared(watched.evaluate), parameters.retract, state, config)
     return PixelFit(
-        T_world_sensor=state[0],
+        T_world_sensor=solution.state[0, 0],
         covariance=_covariance(fit, solution),
-        agreement=agreement(blocks, state),
+        agreement=_agreement(watched.best, fit.observation, blocks.observation),
         settled=int(solution.stop[0]) != StopReason.INVALID,
     )
 
@@ -96,26 +104,47 @@ def block_side(beam: int, longest: int) -> int:
     return min(range(longest, min(longest, 2) - 1, -1), key=misfit)
 
 
-def refined(fit: RangeFit, states: Float[Tensor, "state slot 4 4"]) -> Solution:
+def compared(fit: RangeFit, states: Float[Tensor, "state slot 4 4"]) -> Solution:
     """Where the states end that start within about a block of pixels of their minima."""
-    return _fitted(fit, states, COARSE)
+    return _fitted(fit, states, RIVALS)
 
 
-def agreement(fit: RangeFit, state: Float[Tensor, "slot 4 4"]) -> float:
-    """Share of the measured pixels of a fit within the noise of what the state predicts."""
-    agree = sum(
-        int(((f.residual.abs() <= AGREEING * _expected(fit.observation, k)) & f.compared).sum())
-        for k, f in enumerate(fit.residuals(state))
-    )
-    return agree / max(1, int(fit.observation.measured.sum()))
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Watched:
+    """A fit of one image that keeps what it saw, so that no state is predicted twice."""
+
+    fit: RangeFit
+    seen: list[tuple[float, FrameResidual]] = field(default_factory=list)
+    """Costs and residuals."""
+
+    def evaluate(self, states: Float[Tensor, "1 slot 4 4"]) -> NormalEquations:
+        """Normal equations of one state."""
+        (frame,) = self.fit.residuals(states[0])
+        equations = self.fit.equations(states[0], (frame,))
+        self.seen.append((float(equations.cost[0]), frame))
+        return equations
+
+    @property
+    def best(self) -> FrameResidual:
+        """Of the least cost."""
+        return min(self.seen, key=lambda each: each[0])[1]
 
 
-def _expected(observation: Observation, frame: int) -> Tensor:
+def _agreement(frame: FrameResidual, pixels: Observation, blocks: Observation) -> float:
+    """Share of the measured blocks of pixels within the noise of what was predicted."""
+    side = pixels.range.shape[-1] // blocks.range.shape[-1]
+    residual = replace(pixels, range=frame.residual[None], measured=frame.compared[None])
+    means = coarser(residual, side)
+    agree = (means.range.abs() <= AGREEING * _expected(blocks)) & means.measured & blocks.measured
+    return int(agree.sum()) / max(1, int(blocks.measured.sum()))
+
+
+def _expected(observation: Observation) -> Tensor:
     """Standard deviations (m) with what blocks of pixels have in common."""
-    noise, sigma = observation.sensor.noise, observation.sigma[frame]
+    noise, sigma = observation.sensor.noise, observation.sigma
     if noise.drift is not None:
         return (sigma.square() + noise.drift.sigma**2).sqrt()
-    single = noise.sigma(observation.range[frame])
+    single = noise.sigma(observation.range)
     return (sigma.square() + (SLOW * single).square()).sqrt()
 
 

@@ -1,6 +1,6 @@
 """The measurement equation on every pixel (eq. 2) as normal equations (eq. 9 to 16)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -53,7 +53,7 @@ class RangeFit:
 
     def evaluate(self, states: Float[Tensor, "batch slot 4 4"]) -> NormalEquations:
         """Normal equations of every state: all frames and the prior."""
-        elements = [self._evaluate_one(state) for state in states]
+        elements = [self.equations(state, self.residuals(state)) for state in states]
         return NormalEquations(
             cost=torch.cat([e.cost for e in elements]),
             information=torch.cat([e.information for e in elements]),
@@ -82,9 +82,12 @@ class RangeFit:
             missed=int((observation.measured[k] & ~compared).sum()),
         )
 
-    def _evaluate_one(self, state: Tensor) -> NormalEquations:
+    def equations(
+        self, state: Float[Tensor, "slot 4 4"], frames: Iterable[FrameResidual]
+    ) -> NormalEquations:
+        """Normal equations, a batch of one, of residuals that ``residuals`` gave for a state."""
         total = self._prior(state)
-        for frame in self.residuals(state):
+        for frame in frames:
             image = self.separate(frame)
             information, gradient = normal_equations(image, frame.jacobian)
             # A pixel that the model leaves empty explains no more than one beyond the cut-off.

@@ -6,11 +6,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.geometry import se3
 from torchcal.match.directions import Directions
 from torchcal.match.model.features import ModelFeatures, find_model_features
+from torchcal.match.model.visibility import Seen, visible
 from torchcal.match.prior_gate import Prior
 from torchcal.match.volume import Volume
 from torchcal.model.scene import Surface
+from torchcal.model.sensor import Sensor
+from torchcal.render.synthesis import synthesise
 
 DIRECTIONS = 14
 """Most directions of planes that rotations are sought with."""
@@ -32,13 +36,33 @@ class Site:
     high: Float[Tensor, "3"]
 
     @property
+    def extent(self) -> Float[Tensor, "6"]:
+        """Standard deviations (m, rad) of a pose of which nothing but the site is known."""
+        return torch.cat(
+            [(self.high - self.low).norm().expand(3), self.low.new_full((3,), torch.pi)]
+        )
+
+    @property
     def middle(self) -> Prior:
         """No more than that the sensor is about the site."""
         T = torch.eye(4).to(self.low)
         T[:3, 3] = 0.5 * (self.low + self.high)
-        extent = float((self.high - self.low).norm())
-        sigma = torch.tensor([extent] * 3 + [torch.pi] * 3).to(T)
-        return Prior(T_world_sensor=T, covariance=torch.diag(sigma.square()))
+        return Prior(T_world_sensor=T, covariance=torch.diag(self.extent.square()))
+
+    def seen_from(
+        self, T_world_sensor: Float[Tensor, "4 4"], sensor: Sensor, *, jump: float
+    ) -> Seen:
+        """Which of the elements a sensor with ideal rays sees.
+
+        Args:
+            T_world_sensor: Where it is.
+            sensor: Its optics and limits.
+            jump: m; a smaller step of the range is no edge.
+        """
+        poses = se3.inverse(T_world_sensor) @ self.Ts_world_body
+        rays = replace(sensor, beam=0)
+        face = synthesise(self.surface, poses.to(self.surface.vertices), rays).face
+        return visible(self.features, T_world_sensor, sensor.projection, face, jump=jump)
 
     @staticmethod
     def of(

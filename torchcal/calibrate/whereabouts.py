@@ -14,13 +14,13 @@ from torchcal.calibrate.one_view import OneView, as_states
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.ray_fit import RayFit
 from torchcal.calibrate.site import Site
-from torchcal.geometry import se3
+from torchcal.geometry import robust, se3
 from torchcal.match.directions import Directions, aligning_rotations
 from torchcal.match.features import Planes
 from torchcal.match.volume import peaks
-from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
+from torchcal.solve.gauss_newton import GaussNewtonConfig, minimise, shared
 
-DRAWS = (64, 512)
+DRAWS = (32, 64, 512)
 """Poses drawn from a prior; more where the first do not lead to one that explains the image."""
 IMAGE_DIRECTIONS = 6
 """Most directions of planes in the image."""
@@ -30,9 +30,9 @@ PLACES = 12
 """Most positions for each rotation."""
 JUDGED = 300
 """Most poses whose images are predicted."""
-SHARE, LEAST_FITTED = 12, 8
+SHARE, LEAST_FITTED = 12, 4
 """One pose in so many is fitted to the coarse image, and so many at least."""
-KEPT = 6
+KEPT = 8
 """Poses that are fitted to the fine one."""
 FIRST_TOLERANCE = 0.2
 """m: what ranges may be off by before any fit."""
@@ -42,8 +42,17 @@ LAST_TOLERANCE = 0.003
 """m: where the beam mixes nothing."""
 APART = 0.05
 """m and rad: poses that differ by less are one."""
-STEPS = 6
-"""Most steps of each fit."""
+STEPS = GaussNewtonConfig(iterations=6, ripple=0.01, tolerance=0.3, trusted=1.0)
+"""Of all fits but the last: with such tolerances their ends need not be exact."""
+LAST_STEPS = replace(STEPS, iterations=20)
+"""What will end in one place should be there: every pose too many is compared on blocks."""
+CLOSE = 1.5
+"""Poses whose rays cost more than this many times the least are not followed further."""
+
+UNEXPLAINED = robust.EFFICIENT**2 / 6.0
+"""Cost of a pixel that is beyond the cut-off."""
+PROMISING = 0.6
+"""Share of what poses cost that explain nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,6 +62,16 @@ class Whereabouts:
     Ts_world_sensor: Float[Tensor, "pose 4 4"]
     cost: Float[Tensor, " pose"]
     """Robust cost per measured pixel of the fine rays."""
+
+    @property
+    def close(self) -> Float[Tensor, "close 4 4"]:
+        """The poses that explain the image nearly as well as the best, and that one first."""
+        return self.Ts_world_sensor[self.cost <= CLOSE * self.cost[0]]
+
+    @property
+    def promising(self) -> bool:
+        """Whether the best pose explains so much that it is worth a look at every pixel."""
+        return float(self.cost[0]) < PROMISING * UNEXPLAINED
 
 
 def poses_anywhere(site: Site, view: OneView, planes: Planes) -> Float[Tensor, "pose 4 4"]:
@@ -91,41 +110,38 @@ def judged(
     )
     fitted = max(LEAST_FITTED, len(states) // SHARE)
     best = states[first.costs(states).argsort()[:fitted]]
-    solution = _fitted(first, best)
-    states = distinct(solution.state, solution.equations.cost, KEPT)
+    states = _fitted(first, best, STEPS)
     fine = replace(first, observation=view.fine)
     for tolerance in TOLERANCES:
         fine = replace(fine, tolerance=tolerance)
-        solution = _fitted(fine, states)
-        states = distinct(solution.state, solution.equations.cost, KEPT)
+        states = _fitted(fine, states, STEPS)
     last = replace(fine, observation=view.unmixed, tolerance=LAST_TOLERANCE)
-    states = _fitted(last, states).state
+    states = _fitted(last, states, LAST_STEPS)
     costs = fine.costs(states)
-    order = costs.argsort()
+    kept = _distinct(states, costs)
     pixels = int(view.fine.measured.sum())
-    return Whereabouts(Ts_world_sensor=states[order, 0], cost=costs[order] / max(pixels, 1))
+    return Whereabouts(Ts_world_sensor=states[kept, 0], cost=costs[kept] / max(pixels, 1))
 
 
-def distinct(
-    states: Float[Tensor, "state slot 4 4"], costs: Float[Tensor, " state"], count: int
-) -> Float[Tensor, "kept slot 4 4"]:
+def _fitted(fit: RayFit, states: Tensor, config: GaussNewtonConfig) -> Tensor:
+    """Where the fits of some states end that do not end in one place."""
+    solution = minimise(shared(fit.evaluate), fit.parameters.retract, states, config)
+    return solution.state[_distinct(solution.state, solution.equations.cost)]
+
+
+def _distinct(states: Tensor, costs: Tensor) -> list[int]:
     """The best that are apart from each other, the best first."""
-    kept: list[Tensor] = []
-    for state in states[costs.nan_to_num(torch.inf).argsort()]:
-        if len(kept) < count and all(are_apart(state[0], other[0]) for other in kept):
-            kept.append(state)
-    return torch.stack(kept)
+    kept: list[int] = []
+    for k in costs.nan_to_num(torch.inf).argsort().tolist():
+        if len(kept) < KEPT and all(are_apart(states[k, 0], states[i, 0]) for i in kept):
+            kept.append(k)
+    return kept
 
 
 def are_apart(T: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> bool:
     """Whether two poses are different ones."""
     xi = se3.log(se3.inverse(T) @ other)
     return float(xi[:3].norm()) > APART or float(xi[3:].norm()) > APART
-
-
-def _fitted(fit: RayFit, states: Tensor) -> Solution:
-    config = GaussNewtonConfig(iterations=STEPS, ripple=0.01, tolerance=0.3)
-    return minimise(shared(fit.evaluate), fit.parameters.retract, states, config)
 
 
 def _image_directions(planes: Planes) -> Directions:

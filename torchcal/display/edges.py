@@ -1,7 +1,5 @@
 """Figure 3 of the paper: lines of a range image and edges of the model where it was estimated."""
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -13,9 +11,7 @@ from torchcal.display.canvas import Box, axes_at, blank
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Projection
 from torchcal.match.features import Lines
-from torchcal.match.model.visibility import visible
 from torchcal.model.sensor import Sensor
-from torchcal.render.synthesis import synthesise
 
 WIDTH = 900
 """Pixels."""
@@ -66,12 +62,9 @@ def edges_figure(
 
 def _model_edges(site: Site, sensor: Sensor, T_world_sensor: Tensor) -> Float[Tensor, "edge 2 3"]:
     """Visible pieces of edges in the sensor's frame."""
-    T = se3.inverse(T_world_sensor)
-    rays = replace(sensor, beam=0)
-    face = synthesise(site.surface, (T @ site.Ts_world_body).to(site.surface.vertices), rays).face
-    seen = visible(site.features, T_world_sensor, sensor.projection, face, jump=JUMP)
+    seen = site.seen_from(T_world_sensor, sensor, jump=JUMP)
     pieces = [part.piece_ends[part.piece_pixels >= SHORTEST] for part in (seen.lines, seen.limbs)]
-    return se3.transform(T, torch.cat(pieces))
+    return se3.transform(se3.inverse(T_world_sensor), torch.cat(pieces))
 
 
 def _draw(axes: Axes, ends: Tensor, projection: Projection, colour: str, width: float) -> None:

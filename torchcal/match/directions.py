@@ -4,13 +4,13 @@ Two directions fix a rotation. Large planes are found in any image of a built pl
 few directions that many or large planes share: that leaves some dozens of rotations.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.geometry import se3
 from torchcal.geometry.alignment import rotation_from_directions
 
 SAME = 0.1
@@ -123,6 +123,7 @@ def _distinct(R: Tensor, support: Tensor, count: int) -> Tensor:
     left, kept = R[order], []
     while len(left) and len(kept) < count:
         kept.append(left[0])
-        apart = se3.rotation_log(left[0].mT @ left).norm(dim=-1) > NEAR
+        # The trace of the turn between two rotations is 1 + 2 cos of its angle.
+        apart = (left[0] * left).sum((-2, -1)) < 1.0 + 2.0 * math.cos(NEAR)
         left = left[apart]
     return torch.stack(kept) if kept else R[:0]

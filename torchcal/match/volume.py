@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional
 
 CELLS = 52
 """Voxels along the longest side of the model."""
@@ -96,8 +95,10 @@ def peaks(
     scores: Float[Tensor, "x y z"], count: int
 ) -> tuple[Float[Tensor, " peak"], Float[Tensor, "peak 3"]]:
     """The highest voxels that no neighbour exceeds, and their indices."""
-    around = functional.pad(scores[None, None], [1] * 6, mode="circular")
-    highest = functional.max_pool3d(around, 3, stride=1)[0, 0]
+    highest = scores
+    for axis in range(3):  # one after the other: far fewer comparisons than of all neighbours
+        sides = highest.roll(1, axis), highest.roll(-1, axis)
+        highest = torch.maximum(highest, torch.maximum(*sides))
     alone = torch.where(scores >= highest, scores, -torch.inf).flatten()
     best = alone.topk(min(count, alone.numel()))
     _, y, z = scores.shape

@@ -65,6 +65,11 @@ class GaussNewtonConfig:
     longest: float = 1.0
     """Most that a step is lengthened where the gradient falls more slowly than the information
     says, as it does where the derivatives are themselves noisy."""
+    curvature: float = 1.0
+    """How fast the gradient falls, over what the information says; with robust weights near a
+    minimum, ``robust.relative_curvature``: steps then converge quadratically."""
+    trusted: float = 0.0
+    """A step shorter than this many of its standard deviations is the last and not evaluated."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,7 +78,7 @@ class Solution:
 
     state: Tensor
     equations: NormalEquations
-    """At ``state``."""
+    """At ``state``, or where it was before a last step that was trusted."""
     stop: Int[Tensor, " batch"]
     """One ``StopReason`` each."""
     iterations: Int[Tensor, " batch"]
@@ -100,6 +105,8 @@ def minimise(
     element = torch.arange(len(state), device=state.device)
     running = whole
     for _ in range(config.iterations):
+        if config.trusted > 0.0:
+            running = _trusting(running, retract, config)
         keep = running.stop == StopReason.ITERATIONS
         if not keep.all():
             whole = whole.put(element, running)
@@ -180,8 +187,7 @@ def _iterate(
 ) -> _Progress:
     """One step of every element, accepted on the sum of rho, and what it says about stopping."""
     equations = now.equations()
-    step, length = _damped_step(equations, now.damping)
-    step = step / _curvature(now.slopes).clamp(min=1.0 / config.longest)[:, None]
+    step, length = _next_step(now, config)
     state = retract(now.state, step)
     trial = evaluate(state, element)
     allowed = (1.0 + config.ripple) * now.cost
@@ -201,6 +207,26 @@ def _iterate(
         stop=torch.where(length < config.tolerance, StopReason.CONVERGED.value, stop),
         iterations=now.iterations + 1,
     )
+
+
+def _trusting(
+    now: _Progress, retract: Callable[[Tensor, Tensor], Tensor], config: GaussNewtonConfig
+) -> _Progress:
+    """Takes the last step of every element that is so near that it need not be evaluated."""
+    step, length = _next_step(now, config)
+    last = (now.stop == StopReason.ITERATIONS) & (length < config.trusted)
+    return now._replace(
+        state=torch.where(_broadcast(last, now.state), retract(now.state, step), now.state),
+        stop=torch.where(last, StopReason.CONVERGED.value, now.stop),
+        iterations=now.iterations + last,
+    )
+
+
+def _next_step(now: _Progress, config: GaussNewtonConfig) -> tuple[Tensor, Tensor]:
+    """The damped step with its lengthening; its length is that without either."""
+    step, length = _damped_step(now.equations(), now.damping)
+    seen = _curvature(now.slopes).clamp(min=1.0 / config.longest)
+    return step / seen.clamp(max=config.curvature)[:, None], length
 
 
 def _slopes(before: NormalEquations, after: NormalEquations, step: Tensor) -> Tensor:
