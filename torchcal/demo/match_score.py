@@ -114,7 +114,7 @@ def _is_plane(model: Planes, row: int, measured: Planes, column: int, truth: Tru
     shown = (truth.pixels @ sides[:, :2].T + sides[:, 2] <= 0.0).all(1) & (near < NEAR)
     T = truth.T_sensor_world
     point, normal = (
-        se3.transform(T, own.point[row]).numpy(),
+        se3.transform(T, own.point[row, None])[0].numpy(),
         (T[:3, :3] @ own.direction[row]).numpy(),
     )
     off = np.abs((truth.points[shown] - point) @ normal)
@@ -135,6 +135,6 @@ def _is_line(own: Tensor, measured: Tensor, truth: Truth) -> bool:
 
 
 def _is_vertex(own: Tensor, measured: Tensor, truth: Truth) -> bool:
-    places = torch.stack([se3.transform(truth.T_sensor_world, own), measured])
+    places = torch.stack([se3.transform(truth.T_sensor_world, own[None])[0], measured])
     one, two = truth.projection.pixels(places)
     return float((one - two).norm()) < PIXELS
