@@ -17,6 +17,7 @@ from torchcal.calibrate.site import Site
 from torchcal.geometry import robust, se3
 from torchcal.match.characteristics import all_elements, find_candidates, within
 from torchcal.match.detection import every_candidate
+from torchcal.match.elements import Elements
 from torchcal.match.features import Features, LineKind
 from torchcal.match.invariants import GAMMA
 from torchcal.match.joint import joint_hypotheses
@@ -41,6 +42,11 @@ SETTLED = 0.1
 ABOUT = (0.01, 0.005)
 """m and rad: how far off such a pose may be in every direction, besides its covariance."""
 
+EXCESS = 1.5
+"""How many times larger errors of elements are than the noise alone makes them: the blur joins
+neighbours. Measured in images of known scenes: the median of right planes' and creases' residuals
+is 1.0 standard deviations where noise would give 0.67."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ElementFit:
@@ -61,6 +67,7 @@ def element_fit(
         measured: Elements in the sensor's frame.
         start: The starting value; pairs that it does not expect are no candidates.
     """
+    measured = _trusted(measured)
     found = _matched(site, sensor, measured, start)
     for _ in range(ROUNDS - 1):
         if found.pose is None:
@@ -69,6 +76,20 @@ def element_fit(
         if found.pose is not None and _moved(before, found.pose) < SETTLED:
             break
     return found
+
+
+def _trusted(measured: Features) -> Features:
+    """The same elements with covariances as large as their errors."""
+
+    def trusted(elements: Elements) -> Elements:
+        return replace(elements, covariance=EXCESS**2 * elements.covariance)
+
+    planes, lines, vertices = measured.planes, measured.lines, measured.vertices
+    return Features(
+        planes=replace(planes, elements=trusted(planes.elements)),
+        lines=replace(lines, elements=trusted(lines.elements)),
+        vertices=replace(vertices, elements=trusted(vertices.elements)),
+    )
 
 
 def _about(pose: StagePose) -> Prior:

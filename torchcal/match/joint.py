@@ -90,9 +90,7 @@ def _carried_on(
     expectation: Expectation, now: Joint, own: Tensor, other: int, likelihood: Tensor, gamma: float
 ) -> Joint:
     """Every hypothesis with each candidate of one measured element, and with none."""
-    found = expectation.at(
-        now.T_sensor_world, now.covariance, own, torch.full_like(own, other)
-    )
+    found = expectation.at(now.T_sensor_world, now.covariance, own, torch.full_like(own, other))
     clutter = math.log(CLUTTER[Kind(int(expectation.measured.kind[0, other]))])
     gain = found.match.log_likelihood + likelihood + clutter
     gain = torch.where(found.match.distance < gamma, gain, -torch.inf)
@@ -105,9 +103,7 @@ def _carried_on(
     T, P = _updated(grown, found, parent, choice)
     partner = grown.partner.clone()
     partner[:, other] = torch.where(choice >= 0, own[choice], -1)
-    return Joint(
-        T_sensor_world=T, covariance=P, partner=partner, log_likelihood=score[kept]
-    )
+    return Joint(T_sensor_world=T, covariance=P, partner=partner, log_likelihood=score[kept])
 
 
 def _updated(
@@ -120,16 +116,18 @@ def _updated(
     S = A @ P @ A.mT + torch.eye(v.shape[-1]).to(v)
     gain = torch.linalg.solve(S, A @ P).mT
     xi = (gain @ v[..., None])[..., 0]
-    P = P - gain @ A @ P
-    return grown.T_sensor_world @ se3.exp(xi), 0.5 * (P + P.mT)
+    left = torch.eye(6).to(P) - gain @ A
+    # This form of eq. 4 keeps the covariance definite; a pair that is none adds nothing.
+    noise = torch.where(is_pair > 0, gain, 0.0)
+    return grown.T_sensor_world @ se3.exp(xi), left @ P @ left.mT + noise @ noise.mT
 
 
 def _apart(now: Joint) -> Joint:
     """The likeliest hypotheses, without those that lead to the pose of a likelier one."""
-    xi = se3.log(se3.inverse(now.T_sensor_world)[:, None] @ now.T_sensor_world)
-    root, _ = torch.linalg.cholesky_ex(now.covariance)
-    scaled = torch.linalg.solve_triangular(root[:, None], xi[..., None], upper=False)[..., 0]
-    near = scaled.square().sum(-1) < SAME**2
+    xi = se3.log(se3.inverse(now.T_sensor_world[0]) @ now.T_sensor_world)
+    root = torch.linalg.cholesky(now.covariance[0])
+    scaled = torch.linalg.solve_triangular(root, xi.mT, upper=False).mT
+    near = torch.cdist(scaled, scaled) < SAME
     return now.rows(_first(near)[:HYPOTHESES])
 
 

@@ -21,6 +21,9 @@ from torchcal.match.wholes import whole_lengths
 BORDER = 0.05
 """m: how far off an image may show the middle of what it sees of an element."""
 
+TURNED = 0.5
+"""Cosine between directions under which a pair is out of the question."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Prior:
@@ -106,10 +109,21 @@ class Expectation:
             residual=v,
             jacobian=A,
             match=Match(
-                distance=squared.sqrt(),
+                distance=torch.where(
+                    self._are_turned(T_sensor_world, own, other), torch.inf, squared.sqrt()
+                ),
                 log_likelihood=scale - 0.5 * (squared + log_determinant),
             ),
         )
+
+    def _are_turned(self, T: Tensor, own: Tensor, other: Tensor) -> Tensor:
+        """Whether the directions are so far apart that linear equations tell nothing."""
+        cosine = (
+            (self.model.direction[0, own] @ T[:, :3, :3].mT) * self.measured.direction[0, other]
+        ).sum(-1)
+        kind = self.model.kind[0, own]
+        cosine = torch.where(kind == Kind.LINE, cosine.abs(), cosine)
+        return (cosine < TURNED) & (kind != Kind.POINT)
 
     def _outside(self, T: Tensor, covariance: Tensor, own: Tensor, other: Tensor) -> Tensor:
         """By how many standard deviations measured points are farther off than an element goes."""
