@@ -56,9 +56,7 @@ class ElementFit:
     matches: Matches
 
 
-def element_fit(
-    site: Site, sensor: Sensor, measured: Features, start: Prior, generator: torch.Generator
-) -> ElementFit:
+def element_fit(site: Site, sensor: Sensor, measured: Features, start: Prior) -> ElementFit:
     """Matches what is expected from a starting value with what was measured, and fits the pose.
 
     Args:

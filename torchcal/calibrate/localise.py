@@ -80,7 +80,7 @@ def localise(
         return found
     with clock.measured("pose from elements"):
         about = Prior(T_world_sensor=found.pixels.T_world_sensor, covariance=_about(site))
-        elements = element_fit(site, sensor, measured, about, generator)
+        elements = element_fit(site, sensor, measured, about)
     return replace(
         found, elements=elements.pose, matches=elements.matches, seconds=dict(clock.seconds)
     )

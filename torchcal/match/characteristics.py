@@ -24,7 +24,7 @@ SEEN_AS = (
 """How often (in share) a line of the model (row) is seen as what (column), as ``LineKind`` counts:
 a convex edge of which one side is hidden is a jump, a concave one hides nothing."""
 JOINED_AREA, JOINED_LENGTH = 0.15, 0.1
-"""Share (standard deviation) of what is seen that may belong to a neighbour: the blur joins them."""
+"""Share (standard deviation) of what is seen that may be a neighbour's: the blur joins them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,13 +35,6 @@ class Candidates:
     """C of eq. 6."""
     log_likelihood: Float[Tensor, "model measured"]
     """Up to a constant for each measured element; -inf where C is 0."""
-
-    def likeliest(self, count: int) -> Bool[Tensor, "model measured"]:
-        """C with at most ``count`` candidates for each measured element."""
-        most = min(count, self.matrix.shape[0])
-        best = self.log_likelihood.topk(most, dim=0).indices
-        chosen = torch.zeros_like(self.matrix).scatter(0, best, True)
-        return chosen & self.matrix
 
 
 def all_elements(features: Features) -> Elements:

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchcal.geometry import se3
@@ -17,7 +17,7 @@ from torchcal.match.characteristics import Candidates
 from torchcal.match.elements import Kind
 from torchcal.match.prior_gate import Expectation, Innovation, Prior, moved_to_sensor
 
-HYPOTHESES = 64
+HYPOTHESES = 32
 """Most that are carried on."""
 HOPELESS = 25.0
 """Difference of log likelihoods from the best beyond which a hypothesis is given up."""
@@ -123,19 +123,12 @@ def _updated(
 
 
 def _apart(now: Joint) -> Joint:
-    """The likeliest hypotheses, without those that lead to the pose of a likelier one."""
-    xi = se3.log(se3.inverse(now.T_sensor_world[0]) @ now.T_sensor_world)
-    root = torch.linalg.cholesky(now.covariance[0])
+    """The likeliest hypotheses, without those at the pose of a likelier one."""
+    moved = se3.inverse(now.T_sensor_world[0]) @ now.T_sensor_world
+    # Their turns are small: the sine will do.
+    turned = torch.stack([moved[:, 2, 1], moved[:, 0, 2], moved[:, 1, 0]], 1)
+    xi = torch.cat([moved[:, :3, 3], turned], 1)
+    root, _ = torch.linalg.cholesky_ex(now.covariance[0])
     scaled = torch.linalg.solve_triangular(root, xi.mT, upper=False).mT
-    near = torch.cdist(scaled, scaled) < SAME
-    return now.rows(_first(near)[:HYPOTHESES])
-
-
-def _first(near: Bool[Tensor, "hypothesis hypothesis"]) -> Int[Tensor, " kept"]:
-    """Rows with no row before them that is near and kept."""
-    table = near.tolist()
-    kept: list[int] = []
-    for row, close in enumerate(table):
-        if not any(close[each] for each in kept):
-            kept.append(row)
-    return torch.tensor(kept, device=near.device)
+    again = (torch.cdist(scaled, scaled) < SAME).tril(-1).any(1)
+    return now.rows((~again).nonzero()[:HYPOTHESES, 0])
