@@ -21,7 +21,6 @@ import torchcal
 from torchcal.demo import range_trials
 from torchcal.demo.machine_hall import machine_hall
 from torchcal.demo.match_score import Truth, right_matches
-from torchcal.demo.range_trials import meshes_in_world
 from torchcal.display.edges import edges_figure
 from torchcal.geometry import se3
 
@@ -168,7 +167,7 @@ def counts(setting: Setting, found: torchcal.Localisation, truth: Tensor) -> dic
     """Elements and matches of one trial; the paper counts lines."""
     if (matches := found.matches) is None:
         return {}
-    shown = Truth.of(meshes_in_world(setting.world), truth, setting.sensor.projection)
+    shown = Truth.of(range_trials.meshes_in_world(setting.world), truth, setting.sensor.projection)
     right = torch.from_numpy(right_matches(matches.model, matches.measured, matches.pairs, shown))
     planes = matches.measured.planes.elements.count
     lines = len(matches.measured.lines.kind)

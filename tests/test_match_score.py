@@ -1,5 +1,6 @@
 """Matches against what an image of a crate truly shows."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from torchcal.demo.machine_hall import looking
 from torchcal.demo.match_score import Truth, right_matches
-from torchcal.demo.range_trials import range_sensor
+from torchcal.demo.range_trials import FIELD_OF_VIEW, range_sensor
 from torchcal.geometry import se3
 from torchcal.match.elements import Elements
 from torchcal.match.features import Features
@@ -84,7 +85,7 @@ def test_a_plane_of_the_model_beside_what_is_shown_is_wrong():
 
 def test_lines_and_vertexes_may_be_off_by_a_few_pixels():
     """A turn of one pixel's angle moves what is ahead by a pixel."""
-    pixel = 1.0 / PROJECTION.fx
+    pixel = 2.0 * math.tan(0.5 * FIELD_OF_VIEW) / PROJECTION.width
     for pixels, is_right in ((3.0, True), (9.0, False)):
         turn = torch.tensor([0, 0, 0, pixels * pixel, pixels * pixel, 0], dtype=torch.float64)
         right = judged(MODEL, image_at(VIEW @ se3.exp(turn)))

@@ -117,9 +117,8 @@ def _updated(
     gain = torch.linalg.solve(S, A @ P).mT
     xi = (gain @ v[..., None])[..., 0]
     left = torch.eye(6).to(P) - gain @ A
-    # This form of eq. 4 keeps the covariance definite; a pair that is none adds nothing.
-    noise = torch.where(is_pair > 0, gain, 0.0)
-    return grown.T_sensor_world @ se3.exp(xi), left @ P @ left.mT + noise @ noise.mT
+    # This form of eq. 4 keeps the covariance definite.
+    return grown.T_sensor_world @ se3.exp(xi), left @ P @ left.mT + gain @ gain.mT
 
 
 def _apart(now: Joint) -> Joint:
