@@ -20,9 +20,9 @@ from torch import Tensor
 import torchcal
 from torchcal.demo import range_trials
 from torchcal.demo.machine_hall import machine_hall
+from torchcal.demo.match_score import Truth, right_matches
 from torchcal.display.edges import edges_figure
 from torchcal.geometry import se3
-from torchcal.match.one_place import in_one_place
 
 FOUND = 0.1
 """m and rad within which a pose counts as found."""
@@ -167,8 +167,8 @@ def counts(setting: Setting, found: torchcal.Localisation, truth: Tensor) -> dic
     """Elements and matches of one trial; the paper counts lines."""
     if (matches := found.matches) is None:
         return {}
-    same = in_one_place(matches.model, matches.measured, truth, setting.sensor.projection)
-    right = same[matches.pairs[:, 0], matches.pairs[:, 1]]
+    shown = Truth.of(range_trials.meshes_in_world(setting.world), truth, setting.sensor.projection)
+    right = torch.from_numpy(right_matches(matches.model, matches.measured, matches.pairs, shown))
     planes = matches.measured.planes.elements.count
     lines = len(matches.measured.lines.kind)
     own = matches.pairs[:, 1]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchcal.calibrate.element_pose import find_element_poses
 from torchcal.geometry import se3
-from torchcal.match.characteristics import all_elements, find_candidates
+from torchcal.match.characteristics import JOINED_LENGTH, all_elements, find_candidates
 from torchcal.match.elements import Elements, Kind
 from torchcal.match.features import Features, LineKind, Lines, Planes, Vertices
 from torchcal.match.model.features import find_model_features
@@ -87,19 +87,39 @@ def test_every_element_is_its_own_candidate_and_kinds_do_not_mix():
     assert torch.equal(found.matrix, found.log_likelihood.isfinite())
 
 
+def is_no_longer(lengths: Tensor) -> Tensor:
+    """Of the measured ones (columns), within five standard deviations and what the blur joins."""
+    sigma = torch.hypot(torch.tensor(LENGTH), JOINED_LENGTH * lengths)
+    return lengths - lengths[:, None] < 5.0 * sigma
+
+
 def test_lengths_of_whole_lines_tell_them_apart():
     block = lines_of(find_candidates(MODEL, IMAGE).matrix, MODEL, IMAGE)
     lengths, kinds = MODEL.lines.length, MODEL.lines.kind
-    close = (lengths[:, None] - lengths).abs() < 5.0 * LENGTH
-    assert torch.equal(block, close & (kinds[:, None] == kinds))
+    no_shorter = lengths[:, None] - lengths < 5.0 * LENGTH
+    same = kinds[:, None] == kinds
+    assert torch.equal(block, no_shorter & is_no_longer(lengths) & same)
+    assert not block[same].all()
 
 
 def test_a_line_that_is_cut_may_be_part_of_any_longer_one():
     cut = replace(IMAGE, lines=replace(IMAGE.lines, is_end=torch.zeros_like(IMAGE.lines.is_end)))
     block = lines_of(find_candidates(MODEL, cut).matrix, MODEL, cut)
     lengths, kinds = MODEL.lines.length, MODEL.lines.kind
-    longer = lengths[:, None] > lengths - 5.0 * LENGTH
-    assert torch.equal(block, longer & (kinds[:, None] == kinds))
+    assert torch.equal(block, is_no_longer(lengths) & (kinds[:, None] == kinds))
+
+
+def test_the_ends_of_a_jump_say_nothing_of_its_length():
+    """What stands before an edge cuts it short, and seems its end."""
+    lines = MODEL.lines
+    jumps = replace(
+        MODEL, lines=replace(lines, kind=torch.full_like(lines.kind, LineKind.JUMP.value))
+    )
+    seen = measured(jumps, se3.inverse(T_WORLD_SENSOR))
+    middle = seen.lines.ends.mean(1, keepdim=True)
+    short = replace(seen.lines, ends=middle + 0.01 * (seen.lines.ends - middle))
+    found = find_candidates(jumps, replace(seen, lines=short)).matrix
+    assert lines_of(found, jumps, seen).all()
 
 
 def test_a_convex_edge_may_be_seen_as_a_jump_and_a_concave_one_may_not():
@@ -128,11 +148,12 @@ def test_a_dihedral_angle_beyond_gamma_is_no_candidate():
 
 def test_the_part_of_a_plane_that_is_seen_is_no_larger_than_the_plane():
     planes = len(MODEL.planes.area)
-    for share, are_all in ((0.1, True), (1.2, True), (1.3, False)):
+    # The blur may join a neighbour: 0.5 are 2.2 standard deviations of 1.5, and 4 are 5.3 of 5.
+    for share, are_all in ((0.1, True), (1.5, True), (5.0, False)):
         area = share * IMAGE.planes.area
         image = replace(IMAGE, planes=replace(IMAGE.planes, area=area))
         block = find_candidates(MODEL, image).matrix[:planes, :planes]
-        assert bool(block.diagonal().any()) == are_all  # 20 % are four standard deviations
+        assert bool(block.diagonal().any()) == are_all
 
 
 def test_angles_of_vertexes_are_compared():
@@ -199,14 +220,6 @@ def test_candidates_within_the_prior_lead_to_the_pose():
     # The measured elements are exact here: what is left is rounding and the iterations' end.
     T_world_sensor = se3.inverse(found.T_measured_model)
     torch.testing.assert_close(T_world_sensor, T_WORLD_SENSOR, atol=1e-5, rtol=0.0)
-
-
-def test_the_likeliest_are_few_and_hold_the_right_one():
-    found = find_candidates(MODEL, IMAGE, prior=prior_of((0.001,) * 6, 0.01, 0.01))
-    few = found.likeliest(2)
-    assert int(few.sum(0).max()) <= 2
-    assert few.diagonal().all()
-    assert not (few & ~found.matrix).any()
 
 
 def test_coplanar_planes_and_collinear_lines_count_together():

@@ -78,7 +78,7 @@ def localise(
     if attempt is None:
         return _nothing(clock)
     with clock.measured("pose from elements"):
-        elements = element_fit(site, sensor, measured, _about(attempt.found), generator)
+        elements = element_fit(site, sensor, measured, _about(attempt.found))
     found = _concluded(site, view, start, attempt, clock)
     return replace(found, elements=elements.pose, matches=elements.matches)
 

@@ -4,18 +4,16 @@ Elements are compared by their characteristic values, and where there is a start
 it expects. Both sides are in the order planes, lines, vertexes.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.match.elements import Elements
-from torchcal.match.features import Features, Lines, Planes, Vertices
+from torchcal.match.features import Features, LineKind, Lines, Planes, Vertices
 from torchcal.match.invariants import GAMMA
-from torchcal.match.prior_gate import Match, Prior, match_lines, match_planes, match_points
+from torchcal.match.prior_gate import Expectation, Match, Prior, moved_to_sensor
 from torchcal.match.wholes import whole_areas, whole_lengths
 
 SEEN_AS = (
@@ -25,6 +23,8 @@ SEEN_AS = (
 )
 """How often (in share) a line of the model (row) is seen as what (column), as ``LineKind`` counts:
 a convex edge of which one side is hidden is a jump, a concave one hides nothing."""
+JOINED_AREA, JOINED_LENGTH = 0.15, 0.1
+"""Share (standard deviation) of what is seen that may be a neighbour's: the blur joins them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,13 +35,6 @@ class Candidates:
     """C of eq. 6."""
     log_likelihood: Float[Tensor, "model measured"]
     """Up to a constant for each measured element; -inf where C is 0."""
-
-    def likeliest(self, count: int) -> Bool[Tensor, "model measured"]:
-        """C with at most ``count`` candidates for each measured element."""
-        most = min(count, self.matrix.shape[0])
-        best = self.log_likelihood.topk(most, dim=0).indices
-        chosen = torch.zeros_like(self.matrix).scatter(0, best, True)
-        return chosen & self.matrix
 
 
 def all_elements(features: Features) -> Elements:
@@ -70,42 +63,37 @@ def find_candidates(
     """
     if not gamma > 0.0:
         raise ValueError(f"gamma is {gamma}; it must be above 0")
-    planes, lines, vertices = (
+    parts = (
         _compare_planes(model.planes, measured.planes),
         _compare_lines(model.lines, measured.lines),
         _compare_vertices(model.vertices, measured.vertices),
     )
-    if prior is not None:
-        planes = _expected(
-            partial(match_planes, model.planes, measured.planes, prior), planes, gamma
-        )
-        lines = _expected(partial(match_lines, model.lines, measured.lines, prior), lines, gamma)
-        vertices = _expected(
-            partial(match_points, model.vertices, measured.vertices, prior), vertices, gamma
-        )
-    likelihood = _block_diagonal([_within(match, gamma) for match in (planes, lines, vertices)])
-    return Candidates(matrix=likelihood > -torch.inf, log_likelihood=likelihood)
-
-
-def _expected(match: Callable[[Tensor, Tensor], Match], values: Match, gamma: float) -> Match:
-    """What the prior says as well, of those pairs whose values agree."""
-    rows = (values.distance < gamma).nonzero(as_tuple=True)
-    found = match(*rows)
-    likelihood = values.log_likelihood[rows] + found.log_likelihood
-    return Match(
-        distance=torch.full_like(values.distance, torch.inf).index_put(rows, found.distance),
-        log_likelihood=values.log_likelihood.index_put(rows, likelihood),
+    values = Match(
+        distance=_block_diagonal([part.distance for part in parts], torch.inf),
+        log_likelihood=_block_diagonal([part.log_likelihood for part in parts], -torch.inf),
     )
+    matrix = values.distance < gamma
+    likelihood = torch.where(matrix, values.log_likelihood, -torch.inf)
+    found = Candidates(matrix=matrix, log_likelihood=likelihood)
+    return found if prior is None else within(found, model, measured, prior, gamma)
 
 
-def _within(match: Match, gamma: float) -> Tensor:
-    """The likelihoods, -inf beyond the threshold."""
-    return torch.where(match.distance < gamma, match.log_likelihood, -torch.inf)
+def within(
+    found: Candidates, model: Features, measured: Features, prior: Prior, gamma: float = GAMMA
+) -> Candidates:
+    """Those candidates that a starting value expects, with what it says of their likelihoods."""
+    own, other = found.matrix.nonzero(as_tuple=True)
+    T, P = moved_to_sensor(prior)
+    match = Expectation.of(model, measured).at(T[None], P[None], own, other).match
+    likelihood = found.log_likelihood[own, other] + match.log_likelihood[0]
+    likelihood = torch.where(match.distance[0] < gamma, likelihood, -torch.inf)
+    both = torch.full_like(found.log_likelihood, -torch.inf).index_put((own, other), likelihood)
+    return Candidates(matrix=both > -torch.inf, log_likelihood=both)
 
 
-def _block_diagonal(blocks: list[Tensor]) -> Tensor:
+def _block_diagonal(blocks: list[Tensor], empty: float) -> Tensor:
     rows, columns = (sum(block.shape[side] for block in blocks) for side in (0, 1))
-    whole = blocks[0].new_full((rows, columns), -torch.inf)
+    whole = blocks[0].new_full((rows, columns), empty)
     row = column = 0
     for block in blocks:
         height, width = block.shape
@@ -122,17 +110,22 @@ def _compared(*errors: Tensor) -> Match:
 
 def _compare_planes(model: Planes, measured: Planes) -> Match:
     more = (measured.area - whole_areas(model)[:, None]).clamp(min=0.0)
-    return _compared(more / measured.area_sigma)
+    return _compared(more / torch.hypot(measured.area_sigma, JOINED_AREA * measured.area))
 
 
 def _compare_lines(model: Lines, measured: Lines) -> Match:
-    """By kind, dihedral angle and length; the length of what is cut is only a lower bound."""
+    """By kind, dihedral angle and length; the length of what is cut is only a lower bound.
+
+    Jumps end for many reasons, so their ends tell nothing.
+    """
     length, whole = model.length[:, None], whole_lengths(model)[:, None]
     ends = model.is_end.all(1)[:, None] & measured.is_end.all(1)
+    ends = ends & (measured.kind != LineKind.JUMP)
     shorter = torch.where(ends, (length - measured.length).clamp(min=0.0), 0.0)
     longer = (measured.length - whole).clamp(min=0.0)
     values = _compared(
-        (shorter + longer) / measured.length_sigma,
+        shorter / measured.length_sigma,
+        longer / torch.hypot(measured.length_sigma, JOINED_LENGTH * measured.length),
         (model.dihedral[:, None] - measured.dihedral) / measured.dihedral_sigma,
     )
     chance = torch.tensor(SEEN_AS, dtype=length.dtype, device=length.device)
