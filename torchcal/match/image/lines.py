@@ -9,6 +9,7 @@ from numpy import ndarray
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines
+from torchcal.match.image.blocks import Blocks
 from torchcal.match.image.creases import Found, found_creases, straight_borders
 from torchcal.match.image.edges import jump_segments
 from torchcal.match.image.jumps import jumps
@@ -31,20 +32,20 @@ END = 3.0
 """Pixels by which an end may be off."""
 
 
-def image_jumps(image: Image) -> list[Found]:
+def image_jumps(image: Image, blocks: Blocks) -> list[Found]:
     """Jump edges, each once; the planes beside them are not known yet."""
-    segments = jump_segments(image, SHORTEST).ends
-    return _once(jumps(image, segments, _room(segments, max(image.sensor.beam, 1))))
+    segments = jump_segments(blocks, SHORTEST).ends
+    return _once(jumps(image, blocks, segments, _room(segments, max(image.sensor.beam, 1))))
 
 
-def image_lines(image: Image, planar: Planar, jumping: list[Found]) -> Lines:
+def image_lines(image: Image, blocks: Blocks, planar: Planar, jumping: list[Found]) -> Lines:
     """Jump edges and the creases between planes."""
     beam = max(image.sensor.beam, 1)
     meeting = found_creases(image, planar, SHORTEST)
     borders = straight_borders(image, planar, SHORTEST)
     edges = np.array([each.pixels for each in jumping]).reshape(-1, 2, 2)
     sides = _room(np.concatenate([borders, edges]), beam)[: len(borders)]
-    found = _once([*jumping, *meeting, *jumps(image, borders, sides)])
+    found = _once([*jumping, *meeting, *jumps(image, blocks, borders, sides)])
     return _lines(image, [_with_planes(each, planar, beam) for each in found if _sure(image, each)])
 
 
