@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from torch import Tensor
 
 from torchcal.match.image.windows import Image
 
-FINE = 7
+FINE = 10
 """Blocks in the beam's side, at the least: their own width is below 1 % of the blur's."""
 
 
@@ -33,6 +33,23 @@ class Blocks:
     def offset(self) -> float:
         """Pixels from the image's first pixel to the middle of the first block."""
         return 0.5 * (self.side - 1)
+
+    def slopes(
+        self, rows: Int[ndarray, " block"], columns: Int[ndarray, " block"]
+    ) -> Float[ndarray, "block 2 3"]:
+        """The derivatives of some blocks' rays to the right and down, for each pixel."""
+        h, w = self.valid.shape
+        right, down = np.clip(columns + 1, 1, w - 1), np.clip(rows + 1, 1, h - 1)
+        du = self.rays[rows, right] - self.rays[rows, right - 1]
+        dv = self.rays[down, columns] - self.rays[down - 1, columns]
+        return np.stack([du, dv], 1) / self.side
+
+    def of(self, label: Int[ndarray, "height width"]) -> Int[ndarray, "h w"]:
+        """The label of each block all of whose pixels have the same; -1 for the others."""
+        h, w = self.valid.shape
+        parts = label[: h * self.side, : w * self.side].reshape(h, self.side, w, self.side)
+        low, high = parts.min((1, 3)), parts.max((1, 3))
+        return np.where(low == high, low, -1)
 
 
 def in_blocks(image: Image) -> Blocks:

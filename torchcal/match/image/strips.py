@@ -13,6 +13,8 @@ MOST = 2500
 """Blocks of a strip that are used."""
 STEEP = 3.0
 """The standard deviation of planes' slopes before anything is measured."""
+SETTLED = 0.1
+"""Standard deviations: smaller steps change nothing."""
 LEAST = 30
 """Pixels that must be measured in a strip."""
 FEWEST = 2
@@ -48,6 +50,8 @@ class _Pixels:
     rays: Float[ndarray, "pixel 3"]
     slopes: Float[ndarray, "pixel 2 3"]
     """The derivatives of the rays to u and to v."""
+    typical: float
+    """m: the median range."""
 
 
 def fit_strip(
@@ -119,17 +123,14 @@ def _pixels(
 
 
 def _taken(blocks: Blocks, at: ndarray, rows: ndarray, columns: ndarray) -> _Pixels:
-    rays = blocks.rays
-    h, w = rays.shape[:2]
-    right, down = np.clip(columns + 1, 1, w - 1), np.clip(rows + 1, 1, h - 1)
-    du = rays[rows, right] - rays[rows, right - 1]
-    dv = rays[down, columns] - rays[down - 1, columns]
+    ranges = blocks.range[rows, columns]
     return _Pixels(
         at=at,
-        range=blocks.range[rows, columns],
+        range=ranges,
         sigma=blocks.sigma[rows, columns],
-        rays=rays[rows, columns],
-        slopes=np.stack([du, dv], 1) / blocks.side,
+        rays=blocks.rays[rows, columns],
+        slopes=blocks.slopes(rows, columns),
+        typical=float(np.median(ranges)),
     )
 
 
@@ -158,16 +159,18 @@ def _prior(ray: Float[ndarray, "3"], typical: float) -> Float[ndarray, "3 3"]:
 def _fit(
     pixels: _Pixels, values: ndarray, normal: ndarray, beam: float, length: float
 ) -> tuple[ndarray, ndarray, float] | None:
-    typical = float(np.median(pixels.range))
+    typical = pixels.typical
     prior = np.zeros((8, 8))
     prior[:3, :3] = prior[3:6, 3:6] = _prior(pixels.rays.mean(0), typical)
     prior[6, 6], prior[7, 7] = (1.0 / beam) ** 2 / 4, (length / beam) ** 2 / 16
     limit = np.array([beam / 4.0, beam / (2 * length)])
     for _ in range(ROUNDS):
         residual, jacobian = _whitened(pixels, values, normal, beam)
-        step, _ = _solved(jacobian, residual, prior, values)
+        step, covariance = _solved(jacobian, residual, prior, values)
         step[6:] = np.clip(step[6:], -limit, limit)
         values = values + step
+        if (np.abs(step) < SETTLED * np.sqrt(np.diag(covariance))).all():
+            break
     if not np.isfinite(values).all():
         return None
     residual, jacobian = _whitened(pixels, values, normal, beam)
@@ -219,7 +222,7 @@ def _model(
 
 def _plane(pixels: _Pixels, m: ndarray, normal: ndarray) -> tuple[ndarray, ndarray]:
     """Ranges of a plane, and how they change from pixel to pixel along a direction."""
-    inverse = np.maximum(pixels.rays @ m, FLATTEST / float(np.median(pixels.range)))
+    inverse = np.maximum(pixels.rays @ m, FLATTEST / pixels.typical)
     slope = (pixels.slopes @ m) @ normal
     return 1.0 / inverse, -slope / inverse**2
 
