@@ -42,7 +42,9 @@ def image_features(
     jumping = image_jumps(image, blocks)
     planar = _planar(image, blocks, jumping)
     lines = image_lines(image, blocks, planar, jumping)
-    return Features(planes=image_planes(image, blocks, planar), lines=lines, vertices=image_vertices(lines))
+    return Features(
+        planes=image_planes(image, blocks, planar), lines=lines, vertices=image_vertices(lines)
+    )
 
 
 def image_labels(

@@ -87,11 +87,15 @@ def _merged(forms: _Forms, regions: Regions) -> Regions:
             off = max(_median(forms.distance(plane, members[k])) for k in (one, other))
             if off < forms.agree:
                 label[members[other]] = one
-                members[one] = tuple(map(np.concatenate, zip(members[one], members[other])))
+                members[one] = _joined(members[one], members[other])
                 sums[one] = sums[one] + sums[other]
                 m[one] = plane
     merged = Regions(label=label, m=m, excess=regions.excess)
     return merged.only(np.isin(np.arange(len(m)), label))
+
+
+def _joined(one: tuple[ndarray, ...], other: tuple[ndarray, ...]) -> tuple[ndarray, ...]:
+    return tuple(np.concatenate(each) for each in zip(one, other, strict=True))
 
 
 def _median(values: Float[ndarray, " value"]) -> float:
@@ -153,7 +157,10 @@ def _excess(windows: Windows, flat: ndarray) -> float:
 
 
 def _forms(windows: Windows, flat: ndarray, agree: float) -> _Forms:
-    m, a = np.nan_to_num(windows.m.numpy()).reshape(-1, 3), windows.information.numpy().reshape(-1, 3, 3)
+    m, a = (
+        np.nan_to_num(windows.m.numpy()).reshape(-1, 3),
+        windows.information.numpy().reshape(-1, 3, 3),
+    )
     moment = np.einsum("wij,wj->wi", a, m)
     terms = np.stack(
         [

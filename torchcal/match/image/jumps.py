@@ -48,7 +48,9 @@ def _parts(
     """Strips with one plane on either side: halves, where the whole segment has more of them."""
     strip = fit_strip(blocks, segment, sides)
     length = np.linalg.norm(segment[1] - segment[0])
-    if strip is not None and (strip.chi2 - 1 < (FITS - 1) * blocks.side**2 or length < 2 * SHORTEST_PART):
+    if strip is not None and (
+        strip.chi2 - 1 < (FITS - 1) * blocks.side**2 or length < 2 * SHORTEST_PART
+    ):
         return [(strip, segment)]
     if length < 2 * SHORTEST_PART:
         return []

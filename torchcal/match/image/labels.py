@@ -104,9 +104,11 @@ def _within(
     middle = (windows.side - step) // 2
     first = [(part.start - more) * step + middle for part in place]
     low = [max(start, 0) for start in first]
-    cut = tuple(slice(a - start, size - start) for a, start, size in zip(low, first, shape))
+    cut = tuple(
+        slice(a - start, size - start) for a, start, size in zip(low, first, shape, strict=True)
+    )
     fine = fine[cut]
-    return tuple(slice(a, a + size) for a, size in zip(low, fine.shape)), fine
+    return tuple(slice(a, a + size) for a, size in zip(low, fine.shape, strict=True)), fine
 
 
 def _pure(label: ndarray, valid: ndarray, half: int) -> ndarray:

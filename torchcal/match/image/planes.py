@@ -46,6 +46,8 @@ def image_planes(image: Image, blocks: Blocks, planar: Planar) -> Planes:
         area_sigma=area * BORDER * perimeter / m.new_tensor(seen).clamp(min=1.0),
         outline=_outlines(image, planar, border),
     )
+
+
 def _elements(m: Tensor, covariance: Tensor, middle: Tensor) -> Elements:
     """Point and normal to the sensor with their covariance, from that of m."""
     size = m.norm(dim=-1, keepdim=True)

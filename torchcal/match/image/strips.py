@@ -13,8 +13,8 @@ MOST = 2500
 """Blocks of a strip that are used."""
 STEEP = 3.0
 """The standard deviation of planes' slopes before anything is measured."""
-SETTLED = 0.1
-"""Standard deviations: smaller steps change nothing."""
+SETTLED = 0.5
+"""Standard deviations: what smaller steps leave is far below the noise."""
 LEAST = 30
 """Pixels that must be measured in a strip."""
 FEWEST = 2
@@ -110,7 +110,9 @@ def _pixels(
     high = np.minimum(np.ceil(stop) + 1, blocks.range.shape[::-1]).astype(int)
     if (high <= low).any():
         return None
-    v, u = (blocks.side * each + blocks.offset for each in np.mgrid[low[1] : high[1], low[0] : high[0]])
+    v, u = (
+        blocks.side * each + blocks.offset for each in np.mgrid[low[1] : high[1], low[0] : high[0]]
+    )
     at = np.stack([u - middle[0], v - middle[1]], -1)
     across, place = at @ normal, at @ along
     inside = (np.abs(place) <= length / 2 - trim) & (across < sides[0]) & (across > -sides[1])
