@@ -11,8 +11,10 @@ import trimesh
 from torchcal.demo import raycast
 from torchcal.geometry.projection import Pinhole, Spherical
 from torchcal.match.features import LineKind
+from torchcal.match.image.blocks import in_blocks
 from torchcal.match.image.features import image_features, image_labels
 from torchcal.match.image.strips import beam_share
+from torchcal.match.image.windows import prepared
 from torchcal.model.sensor import Noise, Sensor
 
 FOCAL = 128 / math.tan(math.radians(25.0))
@@ -177,3 +179,26 @@ def test_errors_of_jump_edges_are_those_their_covariance_says() -> None:
     mean = torch.stack(scores).mean(0)
     assert (mean > 0.5).all()
     assert (mean < 1.8).all()
+
+
+def test_pixel_that_two_planes_explain_shows_the_larger_one() -> None:
+    sharp = replace(SENSOR, noise=Noise(a=0.002), beam=1)
+    side = trimesh.creation.box((0.2, 10.0, 10.0)).apply_translation((1.5, 0.0, 4.0))
+    label = image_labels(_image([WALL, side], sharp), sharp).numpy()
+    # The wall ends and the side begins at x = 1.4, z = 4: column 127.5 + 1.4 / 4 * FOCAL.
+    corner = int(127.5 + 1.4 / 4.0 * FOCAL)
+    wall, beside = label[128, 20], label[128, 252]
+    assert wall != beside
+    assert (label[20:236, 20 : corner - 1] == wall).mean() > 0.999
+    assert (label[20:236, corner + 6 :] == beside).mean() > 0.99
+
+
+def test_blocks_are_means_of_the_pixels_that_the_beam_blurs_together() -> None:
+    sensor = replace(SENSOR, beam=21)
+    image = prepared(_image([WALL], sensor), sensor, None)
+    blocks = in_blocks(image)
+    assert blocks.side == 2
+    torch.testing.assert_close(
+        torch.tensor(blocks.range[3, 5]), image.range[6:8, 10:12].mean(), atol=1e-12, rtol=0.0
+    )
+    assert abs(blocks.sigma[3, 5] - 0.02 / 2) < 1e-12

@@ -18,6 +18,10 @@ STRAIGHT = 2.5
 """Pixels (rms) by which a border may be off a straight line."""
 GAP = 12.0
 """Pixels of a border that may be missing within one crease."""
+SEEN = 1.5
+"""Areas of the beam that must show each plane of a crease alone: fewer may be a mixture."""
+FITS = 1.6
+"""The largest chi-square per degree of freedom of a plane with a crease."""
 SMALLEST_ANGLE = np.radians(4.0)
 SURE = 4.0
 """Standard deviations of a dihedral angle that is no accident."""
@@ -44,9 +48,13 @@ class Found:
 
 def found_creases(image: Image, planar: Planar, shortest: float) -> list[Found]:
     """Where planes that touch in the image meet, for at least some pixels."""
+    least = SEEN * max(image.sensor.beam, 1) ** 2
+    alone = np.bincount(planar.label[planar.pure], minlength=len(planar.m))
+    sure = (alone >= least) & (planar.chi2.numpy() < FITS)
     return [
         line
         for pair, rows, columns in _borders(planar.label, shortest)
+        if sure[pair].all()
         for line in _of_pair(image, planar, pair, rows, columns, shortest)
     ]
 

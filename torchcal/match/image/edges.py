@@ -3,14 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy import ndimage
 
-from torchcal.match.image.windows import Image
+from torchcal.match.image.blocks import Blocks
 
 SCALE = 0.22
 """Standard deviation of the smoothing, in sides of the beam; at least one pixel and a quarter."""
+OWN = 1.0 / 12.0 + 1.0 / 3.0
+"""Variance of the smoothing by the mean over a block and by the difference two blocks apart."""
 WIDER = 2.0
 """How much wider the smoothing is whose gradient is that of the surfaces, not of the edge."""
 SEED, GO_ON = 6.0, 4.0
@@ -22,7 +24,7 @@ STRAIGHT = 2.0
 ABOVE = 3.0
 """Standard deviations by which a gradient exceeds those half a beam before and behind."""
 GAP = 5.0
-"""Pixels between two pixels of one straight piece."""
+"""Pixels between two pixels of one straight piece; one block may always be missing."""
 REACHES = (10.0, 20.0, 50.0, 120.0, 1e9)
 """How far in pixels a piece may reach from its seed, one fit of its line after the other."""
 
@@ -47,25 +49,45 @@ class _Gradient:
     size: Float[ndarray, "h w"]
 
 
-def jump_segments(image: Image, shortest: float) -> Segments:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Ridges:
+    """Where the gradient is largest."""
+
+    row: Float[ndarray, " place"]
+    """Pixels, in ascending order."""
+    pixel: Float[ndarray, "place 2"]
+    direction: Float[ndarray, "place 2"]
+    """Of the gradient; unit vectors."""
+    gap: float
+    """Pixels that may be missing within one straight piece."""
+
+
+def jump_segments(blocks: Blocks, shortest: float) -> Segments:
     """Ridges of the gradient, linked and cut into straight pieces of at least some pixels."""
-    gradient = _gradient(image)
-    ridge = _ridge(gradient, image.sensor.beam) & (gradient.size > GO_ON)
-    v, u = np.nonzero(ridge)
+    gradient = _gradient(blocks)
+    v, u = np.nonzero(_ridge(gradient, blocks.beam / blocks.side))
     direction = np.stack([gradient.along_u[v, u], gradient.along_v[v, u]], -1)
     size = np.linalg.norm(direction, axis=1)
     direction /= size[:, None]
-    pixel = np.stack([u, v], -1) + _peak(gradient, v, u, direction)[:, None] * direction
-    found = _straight(pixel, direction, size, shortest)
-    return Segments(ends=np.array(found).reshape(-1, 2, 2))
+    place = np.stack([u, v], -1) + _peak(gradient, v, u, direction)[:, None] * direction
+    ridges = _Ridges(
+        row=blocks.side * v + blocks.offset,
+        pixel=blocks.side * place + blocks.offset,
+        direction=direction,
+        gap=max(GAP, 2.0 * blocks.side * 2**0.5),
+    )
+    return Segments(ends=np.array(_straight(ridges, size, shortest)).reshape(-1, 2, 2))
 
 
-def _gradient(image: Image) -> _Gradient:
-    scale = max(1.25, SCALE * image.sensor.beam)
-    valid = image.valid.numpy()
-    inverse = np.where(valid, 1.0 / image.range.numpy(), 0.0)
-    noise = np.where(valid, image.sigma.numpy() / image.range.numpy() ** 2, 0.0)
-    fine, coarse = (_smooth_gradient(inverse, valid, s) for s in (scale, WIDER * scale))
+def _gradient(image: Blocks) -> _Gradient:
+    scale = max(1.25, SCALE * image.beam / image.side)
+    valid = image.valid
+    inverse = np.where(valid, 1.0 / image.range, 0.0)
+    noise = np.where(valid, image.sigma / image.range**2, 0.0)
+    own = OWN * (1.0 - 1.0 / image.side**2)
+    fine, coarse = (
+        _smooth_gradient(inverse, valid, (s**2 - own) ** 0.5) for s in (scale, WIDER * scale)
+    )
     level = ndimage.gaussian_filter(noise, 2 * scale) / np.maximum(
         ndimage.gaussian_filter(valid.astype(float), 2 * scale), 1e-9
     )
@@ -92,8 +114,8 @@ def _sampled(gradient: _Gradient, v: ndarray, u: ndarray, direction: ndarray) ->
     ) + direction[:, 1] * ndimage.map_coordinates(gradient.along_v, at, order=1, mode="nearest")
 
 
-def _ridge(gradient: _Gradient, beam: int) -> Bool[ndarray, "h w"]:
-    """Pixels with the largest gradient among those before and behind them."""
+def _ridge(gradient: _Gradient, beam: float) -> Bool[ndarray, "h w"]:
+    """Places with the largest gradient among those before and behind them."""
     v, u = np.nonzero(gradient.size > GO_ON)
     direction = np.stack([gradient.along_u[v, u], gradient.along_v[v, u]], -1)
     own = np.linalg.norm(direction, axis=1)
@@ -132,12 +154,10 @@ def _peak(gradient: _Gradient, v: ndarray, u: ndarray, direction: ndarray) -> nd
 
 
 def _straight(
-    pixel: Float[ndarray, "pixel 2"],
-    direction: Float[ndarray, "pixel 2"],
-    size: Float[ndarray, " pixel"],
-    shortest: float,
+    ridges: _Ridges, size: Float[ndarray, " place"], shortest: float
 ) -> list[Float[ndarray, "2 2"]]:
-    """Straight runs of pixels, grown from the largest gradients first."""
+    """Straight runs of places, grown from the largest gradients first."""
+    pixel = ridges.pixel
     free = np.ones(len(pixel), bool)
     found = []
     for seed in np.argsort(-size).tolist():
@@ -145,7 +165,7 @@ def _straight(
             break
         if not free[seed]:
             continue
-        run, along = _run(pixel, direction, free, seed)
+        run, along = _run(ridges, free, seed)
         free[run] = False
         free[seed] = False
         place = (pixel[run] - pixel[seed]) @ along
@@ -157,29 +177,49 @@ def _straight(
 
 
 def _run(
-    pixel: ndarray, direction: ndarray, free: ndarray, seed: int
-) -> tuple[ndarray, Float[ndarray, "2"]]:
-    """The pixels without a gap on the line through the seed, and the line's direction."""
-    middle, normal = pixel[seed], direction[seed]
+    ridges: _Ridges, free: Bool[ndarray, " place"], seed: int
+) -> tuple[Int[ndarray, " member"], Float[ndarray, "2"]]:
+    """The places without a gap on the line through the seed, and the line's direction."""
+    middle, normal = ridges.pixel[seed], ridges.direction[seed]
     run = np.array([seed])
     for reach in REACHES:
-        along = np.array([-normal[1], normal[0]])
-        apart = pixel - middle
-        near = free & (np.abs(apart @ normal) < STRAIGHT) & (np.abs(direction @ normal) > TURN)
-        (members,) = np.nonzero(near)
-        place = (pixel[members] - pixel[seed]) @ along
-        within = np.abs(place) < reach
-        members, place = members[within], place[within]
-        order = np.argsort(place)
-        members, place = members[order], place[order]
+        members, place = _on_line(ridges, free, seed, (middle, normal), reach)
         start = np.searchsorted(place, 0.0)
-        gaps = np.nonzero(np.diff(place) > GAP)[0] + 1
+        gaps = np.nonzero(np.diff(place) > ridges.gap)[0] + 1
         first = gaps[gaps <= start].max(initial=0)
         last = gaps[gaps > start].min(initial=len(members))
+        grown = len(run) < last - first
         run = members[first:last]
-        if len(run) < 3:
+        if len(run) < 3 or not grown:
             break
-        middle = pixel[run].mean(0)
-        _, axes = np.linalg.eigh((pixel[run] - middle).T @ (pixel[run] - middle))
-        normal = axes[:, 0] * np.sign(axes[:, 0] @ normal)
+        middle = ridges.pixel[run].mean(0)
+        normal = _normal(ridges.pixel[run] - middle, normal)
     return run, np.array([-normal[1], normal[0]])
+
+
+def _on_line(
+    ridges: _Ridges, free: ndarray, seed: int, line: tuple[ndarray, ndarray], reach: float
+) -> tuple[Int[ndarray, " member"], Float[ndarray, " member"]]:
+    """Free places near a line and within reach of the seed, in order along it."""
+    middle, normal = line
+    pixel = ridges.pixel[seed]
+    first, last = np.searchsorted(
+        ridges.row, (ridges.row[seed] - reach - STRAIGHT, ridges.row[seed] + reach + STRAIGHT)
+    )
+    part = slice(first, last)
+    near = np.abs((ridges.pixel[part] - middle) @ normal) < STRAIGHT
+    (members,) = np.nonzero(near & free[part])
+    members = members[np.abs(ridges.direction[part][members] @ normal) > TURN] + first
+    place = (ridges.pixel[members] - pixel) @ np.array([-normal[1], normal[0]])
+    within = np.abs(place) < reach
+    members, place = members[within], place[within]
+    order = np.argsort(place)
+    return members[order], place[order]
+
+
+def _normal(apart: Float[ndarray, "member 2"], like: Float[ndarray, "2"]) -> Float[ndarray, "2"]:
+    """Across the direction in which places spread most, on the same side as another one."""
+    (a, b), (_, c) = apart.T @ apart
+    angle = 0.5 * np.arctan2(2 * b, a - c)
+    normal = np.array([-np.sin(angle), np.cos(angle)])
+    return normal if normal @ like > 0 else -normal

@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.match.features import Features
+from torchcal.match.image.blocks import Blocks, in_blocks
+from torchcal.match.image.consensus import explained
 from torchcal.match.image.creases import Found
 from torchcal.match.image.growth import grow_regions
 from torchcal.match.image.jumps import blurred_by
@@ -35,27 +37,32 @@ def image_features(
     Returns:
         The elements with the covariances that the noise gives them (eq. 8).
     """
-    image, planar, jumping = _planar(range_image, sensor, mask)
-    lines = image_lines(image, planar, jumping)
-    return Features(planes=image_planes(image, planar), lines=lines, vertices=image_vertices(lines))
+    image = prepared(range_image, sensor, mask)
+    blocks = in_blocks(image)
+    jumping = image_jumps(image, blocks)
+    planar = _planar(image, blocks, jumping)
+    lines = image_lines(image, blocks, planar, jumping)
+    return Features(
+        planes=image_planes(image, blocks, planar), lines=lines, vertices=image_vertices(lines)
+    )
 
 
 def image_labels(
     range_image: Float[Tensor, "h w"], sensor: Sensor, mask: Bool[Tensor, "h w"] | None = None
 ) -> Int[Tensor, "h w"]:
-    """The plane of ``image_features`` that each pixel shows; -1 for none."""
-    return torch.from_numpy(_planar(range_image, sensor, mask)[1].label)
-
-
-def _planar(
-    range_image: Tensor, sensor: Sensor, mask: Tensor | None
-) -> tuple[Image, Planar, list[Found]]:
-    """Jumps first: planes are fitted to what they do not blur."""
+    """The plane of ``image_features`` that explains each pixel, the largest of those; -1: none."""
     image = prepared(range_image, sensor, mask)
-    jumping = image_jumps(image)
-    blurred = torch.from_numpy(blurred_by(image, jumping)) & (sensor.beam > 1)
+    blocks = in_blocks(image)
+    planar = _planar(image, blocks, image_jumps(image, blocks))
+    return torch.from_numpy(explained(image, planar))
+
+
+def _planar(image: Image, blocks: Blocks, jumping: list[Found]) -> Planar:
+    """Planes are fitted to what jumps do not blur."""
+    beam = image.sensor.beam
+    blurred = torch.from_numpy(blurred_by(image, jumping)) & (beam > 1)
     clear = replace(image, valid=image.valid & ~blurred)
-    side = 3 * STRIDE if sensor.beam > 2 * STRIDE else 2 * STRIDE
+    side = 3 * STRIDE if beam > 2 * STRIDE else 2 * STRIDE
     windows = fit_windows(clear, side=side, stride=STRIDE)
     regions = grow_regions(windows)
-    return image, label_pixels(image, clear.valid.numpy(), windows, regions), jumping
+    return label_pixels(image, blocks, clear.valid.numpy(), windows, regions)

@@ -17,6 +17,8 @@ SMALLEST = 6
 """Windows that the core of a region must have."""
 LOW = 0.1
 """The share of all pairs of windows that surely lie on planes."""
+APART = 3
+"""Windows between regions that may be one."""
 STAGES = (2, 4, 8, 16, 32, 512)
 """How far in windows a region may reach from its seed, one refit after the other."""
 
@@ -42,20 +44,17 @@ class Regions:
 class _Forms:
     """(m - m_window)^T information (m - m_window) of all windows, as one matrix product."""
 
-    rows: Float[ndarray, "term window"]
+    rows: Float[ndarray, "row column term"]
     flat: Bool[ndarray, "row column"]
     agree: float
 
-    def distance(self, m: Float[ndarray, "3"]) -> Float[ndarray, "row column"]:
+    def distance(self, m: Float[ndarray, "3"], box: tuple) -> ndarray:
         x, y, z = m
         terms = np.array([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z, *(-2 * m), 1.0])
-        return (terms @ self.rows).reshape(self.flat.shape)
+        return self.rows[box] @ terms
 
-    def fit(self, members: Bool[ndarray, "row column"]) -> Float[ndarray, "3"]:
-        a, b, c, d, e, f, *moment, _ = self.rows[:, members.ravel()].sum(1)
-        return np.linalg.lstsq(
-            np.array([[a, b, c], [b, d, e], [c, e, f]]), np.array(moment), rcond=None
-        )[0]
+    def fit(self, members: Bool[ndarray, "row column"], box: tuple) -> Float[ndarray, "3"]:
+        return _solved(members.ravel() @ self.rows[box].reshape(members.size, -1))
 
 
 def grow_regions(windows: Windows) -> Regions:
@@ -67,7 +66,7 @@ def grow_regions(windows: Windows) -> Regions:
     free = flat.copy()
     planes: list[ndarray] = []
     for seed in _seeds(flat):
-        if not free[_around(seed, 1)].all():
+        if not (free[seed] and free[_around(seed, 1)].all()):
             continue
         members, m = _grown(forms, free, seed)
         free &= ~members
@@ -80,23 +79,41 @@ def grow_regions(windows: Windows) -> Regions:
 def _merged(forms: _Forms, regions: Regions) -> Regions:
     """Joins regions side by side whose windows on the whole agree with one plane, largest first."""
     label, m = regions.label.copy(), regions.m.copy()
-    size = np.bincount(label[label >= 0], minlength=len(m))
-    for one in np.argsort(-size).tolist():
+    members = [np.nonzero(label == k) for k in range(len(m))]
+    sums = [forms.rows[each].sum(0) for each in members]
+    for one in np.argsort([-len(rows) for rows, _ in members], kind="stable").tolist():
         for other in _neighbours(label, one):
-            both = (label == one) | (label == other)
-            plane = forms.fit(both)
-            distance = forms.distance(plane)
-            if max(np.median(distance[label == k]) for k in (one, other)) < forms.agree:
-                label[label == other] = one
+            plane = _solved(sums[one] + sums[other])
+            off = max(_median(forms.distance(plane, members[k])) for k in (one, other))
+            if off < forms.agree:
+                label[members[other]] = one
+                members[one] = _joined(members[one], members[other])
+                sums[one] = sums[one] + sums[other]
                 m[one] = plane
     merged = Regions(label=label, m=m, excess=regions.excess)
     return merged.only(np.isin(np.arange(len(m)), label))
 
 
+def _joined(one: tuple[ndarray, ...], other: tuple[ndarray, ...]) -> tuple[ndarray, ...]:
+    return tuple(np.concatenate(each) for each in zip(one, other, strict=True))
+
+
+def _median(values: Float[ndarray, " value"]) -> float:
+    ordered = np.sort(values)
+    return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
+
+
 def _neighbours(label: Int[ndarray, "row column"], one: int) -> Int[ndarray, " region"]:
     """The regions within a few windows of one, the largest first."""
-    around = ndimage.binary_dilation(label == one, iterations=3)
-    names, counts = np.unique(label[around & (label != one) & (label >= 0)], return_counts=True)
+    rows, columns = (np.nonzero((label == one).any(axis))[0] for axis in (1, 0))
+    if len(rows) == 0:
+        return np.zeros(0, int)
+    box = label[
+        max(rows[0] - APART, 0) : rows[-1] + APART + 1,
+        max(columns[0] - APART, 0) : columns[-1] + APART + 1,
+    ]
+    around = ndimage.binary_dilation(box == one, iterations=APART)
+    names, counts = np.unique(box[around & (box != one) & (box >= 0)], return_counts=True)
     return names[np.argsort(-counts)]
 
 
@@ -140,9 +157,12 @@ def _excess(windows: Windows, flat: ndarray) -> float:
 
 
 def _forms(windows: Windows, flat: ndarray, agree: float) -> _Forms:
-    m, a = windows.m.numpy().reshape(-1, 3), windows.information.numpy().reshape(-1, 3, 3)
+    m, a = (
+        np.nan_to_num(windows.m.numpy()).reshape(-1, 3),
+        windows.information.numpy().reshape(-1, 3, 3),
+    )
     moment = np.einsum("wij,wj->wi", a, m)
-    rows = np.stack(
+    terms = np.stack(
         [
             a[:, 0, 0],
             a[:, 0, 1],
@@ -152,9 +172,10 @@ def _forms(windows: Windows, flat: ndarray, agree: float) -> _Forms:
             a[:, 2, 2],
             *moment.T,
             (m * moment).sum(1),
-        ]
+        ],
+        -1,
     )
-    return _Forms(rows=rows, flat=flat, agree=agree)
+    return _Forms(rows=terms.reshape(*flat.shape, -1), flat=flat, agree=agree)
 
 
 def _connected(mask: Bool[ndarray, "row column"]) -> Int[ndarray, "row column"]:
@@ -164,16 +185,27 @@ def _connected(mask: Bool[ndarray, "row column"]) -> Int[ndarray, "row column"]:
     return part
 
 
+def _solved(sums: Float[ndarray, " term"]) -> Float[ndarray, "3"]:
+    a, b, c, d, e, f, *moment, _ = sums
+    return np.linalg.solve(np.array([[a, b, c], [b, d, e], [c, e, f]]), np.array(moment))
+
+
 def _grown(forms: _Forms, free: ndarray, seed: tuple) -> tuple[ndarray, ndarray]:
     """The connected windows that agree with the plane through the seed, and that plane."""
-    rows, columns = np.ogrid[: free.shape[0], : free.shape[1]]
-    far = np.maximum(np.abs(rows - seed[0]), np.abs(columns - seed[1]))
-    members = free & (far <= 1)
-    m = forms.fit(members)
+    box = _around(seed, 1)
+    members = free[box]
+    m = forms.fit(members, box)
     for reach in (*STAGES, *STAGES[-1:]):
-        alike = free & (far <= reach) & (forms.distance(m) < forms.agree)
-        alike[seed] = True
+        box = _around(seed, reach)
+        own = seed[0] - box[0].start, seed[1] - box[1].start
+        alike = free[box] & (forms.distance(m, box) < forms.agree)
+        alike[own] = True
         part = _connected(alike)
-        members = part == part[seed]
-        m = forms.fit(members)
-    return members, m
+        before = members.sum()
+        members = part == part[own]
+        m = forms.fit(members, box)
+        if members.sum() == before:
+            break
+    everywhere = np.zeros(free.shape, bool)
+    everywhere[box] = members
+    return everywhere, m

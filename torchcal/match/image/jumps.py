@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from torchcal.match.features import LineKind
+from torchcal.match.image.blocks import Blocks
 from torchcal.match.image.creases import Found
 from torchcal.match.image.strips import Strip, central_ray, fit_strip
 from torchcal.match.image.windows import Image
@@ -27,13 +28,14 @@ UNSURE = np.radians(1.8)
 
 def jumps(
     image: Image,
+    blocks: Blocks,
     segments: Float[ndarray, "segment 2 2"],
     sides: Float[ndarray, "segment 2"],
 ) -> list[Found]:
     """The segments along which the range jumps, fitted to the strips along them."""
     found = []
     for segment, (left, right) in zip(segments, sides, strict=True):
-        for strip, part in _parts(image, segment, (float(left), float(right))):
+        for strip, part in _parts(blocks, segment, (float(left), float(right))):
             line = _line(image, strip, part)
             if line:
                 found.append(line)
@@ -41,18 +43,20 @@ def jumps(
 
 
 def _parts(
-    image: Image, segment: Float[ndarray, "2 2"], sides: tuple[float, float]
+    blocks: Blocks, segment: Float[ndarray, "2 2"], sides: tuple[float, float]
 ) -> list[tuple[Strip, Float[ndarray, "2 2"]]]:
     """Strips with one plane on either side: halves, where the whole segment has more of them."""
-    strip = fit_strip(image, segment, sides)
+    strip = fit_strip(blocks, segment, sides)
     length = np.linalg.norm(segment[1] - segment[0])
-    if strip is not None and (strip.chi2 < FITS or length < 2 * SHORTEST_PART):
+    if strip is not None and (
+        strip.chi2 - 1 < (FITS - 1) * blocks.side**2 or length < 2 * SHORTEST_PART
+    ):
         return [(strip, segment)]
     if length < 2 * SHORTEST_PART:
         return []
     middle = segment.mean(0)
     halves = np.stack([segment[0], middle]), np.stack([middle, segment[1]])
-    return [part for half in halves for part in _parts(image, half, sides)]
+    return [part for half in halves for part in _parts(blocks, half, sides)]
 
 
 def _line(image: Image, strip: Strip, segment: Float[ndarray, "2 2"]) -> Found | None:

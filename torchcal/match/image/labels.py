@@ -9,6 +9,7 @@ from numpy import ndarray
 from scipy import ndimage
 from torch import Tensor
 
+from torchcal.match.image.blocks import Blocks
 from torchcal.match.image.growth import Regions
 from torchcal.match.image.windows import Image, Windows
 
@@ -40,18 +41,25 @@ class Planar:
 
 
 def label_pixels(
-    image: Image, clear: Bool[ndarray, "h w"], windows: Windows, regions: Regions
+    image: Image,
+    blocks: Blocks,
+    clear: Bool[ndarray, "h w"],
+    windows: Windows,
+    regions: Regions,
 ) -> Planar:
     """Extends regions from windows to pixels and fits their planes to what is not blurred."""
     half = max(image.sensor.beam, 1) // 2
     reach = half + windows.side // 2 + windows.stride
     label = _nearest(image, windows, regions, reach)
     pure = _pure(label, clear, half)
-    size = np.bincount(label[pure], minlength=len(regions.m))
-    regions = regions.only(size >= SMALLEST)
-    label = _nearest(image, windows, regions, reach)
-    pure = _pure(label, clear, half)
-    m, covariance, chi2 = refit(image, torch.from_numpy(np.where(pure, label, -1)), regions.m)
+    alone = blocks.of(np.where(pure, label, -1))
+    size = np.bincount(alone[alone >= 0], minlength=len(regions.m)) * blocks.side**2
+    if (size < SMALLEST).any():
+        regions = regions.only(size >= SMALLEST)
+        label = _nearest(image, windows, regions, reach)
+        pure = _pure(label, clear, half)
+        alone = blocks.of(np.where(pure, label, -1))
+    m, covariance, chi2 = refit(blocks, alone, regions.m)
     return Planar(
         label=label, pure=pure, m=m, covariance=covariance, chi2=chi2, excess=regions.excess
     )
@@ -60,50 +68,47 @@ def label_pixels(
 def _nearest(image: Image, windows: Windows, regions: Regions, reach: int) -> ndarray:
     """The plane nearest to the smoothed image, among those whose cores are within reach."""
     valid = image.valid.numpy()
-    side = max(SMOOTHING, image.sensor.beam // 4 * 2 + 1)
-    share = ndimage.uniform_filter(valid.astype(float), side)
-    ranges = np.where(valid, image.range.numpy(), 0.0)
-    smooth = ndimage.uniform_filter(ranges, side) / np.maximum(share, 1e-9)
+    mean, side = smooth(image, SMOOTHING)
     limit = NEAR_PLANE * np.sqrt(regions.excess) / side * image.sigma.numpy()
     rays = image.rays.numpy()
-    best = np.full(valid.shape, np.inf)
+    blur = 2 * max(image.sensor.beam // 2, 1) + 1
+    best = np.full(valid.shape, np.inf, np.float32)
     label = np.full(valid.shape, -1)
     for index, place in enumerate(ndimage.find_objects(regions.label + 1)):
-        box = _box(place, windows, reach, valid.shape)
-        core = _core(regions.label[place] == index, place, windows, box)
-        with np.errstate(divide="ignore"):
-            off = np.abs(smooth[box] * (rays[box] @ regions.m[index]) - 1.0) * smooth[box]
-        near = off < limit[box]
-        seen = np.asarray(ndimage.binary_dilation(near, iterations=max(image.sensor.beam // 2, 1)))
-        close = np.logical_and(ndimage.maximum_filter(core, 2 * reach + 1), seen & valid[box])
-        nearer = close & (off < best[box])
+        box, close = _within(regions.label[place] == index, place, windows, reach, valid.shape)
+        off = np.abs(mean[box] * (rays[box] @ regions.m[index]) - 1.0) * mean[box]
+        seen = ndimage.maximum_filter((off < limit[box]) & close, blur)
+        nearer = close & seen & valid[box] & (off < best[box])
         best[box][nearer] = off[nearer]
         label[box][nearer] = index
     return label
 
 
-def _box(place: tuple, windows: Windows, reach: int, shape: tuple) -> tuple[slice, slice]:
-    rows, columns = (
-        slice(
-            max(part.start * windows.stride - reach, 0),
-            min((part.stop - 1) * windows.stride + windows.side + reach, size),
-        )
-        for part, size in zip(place, shape, strict=True)
+def smooth(image: Image, least: int) -> tuple[Float[ndarray, "h w"], int]:
+    """The mean over the valid pixels of a square that blurs less than the beam, and its side."""
+    valid = image.valid.numpy()
+    side = max(least, image.sensor.beam // 4 * 2 + 1)
+    share = ndimage.uniform_filter(valid.astype(float), side)
+    ranges = np.where(valid, image.range.numpy(), 0.0)
+    return ndimage.uniform_filter(ranges, side) / np.maximum(share, 1e-9), side
+
+
+def _within(
+    members: Bool[ndarray, "row column"], place: tuple, windows: Windows, reach: int, shape: tuple
+) -> tuple[tuple[slice, slice], Bool[ndarray, "h w"]]:
+    """A cut-out of the image, and its pixels within reach of some windows (to a window's step)."""
+    step = windows.stride
+    more = -(-reach // step)
+    wide = ndimage.maximum_filter(np.pad(members, more), 2 * more + 1)
+    fine = np.repeat(np.repeat(wide, step, 0), step, 1)
+    middle = (windows.side - step) // 2
+    first = [(part.start - more) * step + middle for part in place]
+    low = [max(start, 0) for start in first]
+    cut = tuple(
+        slice(a - start, size - start) for a, start, size in zip(low, first, shape, strict=True)
     )
-    return rows, columns
-
-
-def _core(members: ndarray, place: tuple, windows: Windows, box: tuple) -> ndarray:
-    """The pixels of the windows of a region, in a cut-out of the image."""
-    core = np.zeros([part.stop - part.start for part in box], bool)
-    middle = (windows.side - windows.stride) // 2
-    fine = np.kron(members, np.ones((windows.stride, windows.stride), bool))
-    start = [
-        part.start * windows.stride + middle - corner.start
-        for part, corner in zip(place, box, strict=True)
-    ]
-    core[start[0] : start[0] + fine.shape[0], start[1] : start[1] + fine.shape[1]] = fine
-    return core
+    fine = fine[cut]
+    return tuple(slice(a, a + size) for a, size in zip(low, fine.shape, strict=True)), fine
 
 
 def _pure(label: ndarray, valid: ndarray, half: int) -> ndarray:
@@ -115,7 +120,7 @@ def _pure(label: ndarray, valid: ndarray, half: int) -> ndarray:
 
 
 def refit(
-    image: Image, label: Int[Tensor, "h w"], m: Float[ndarray, "plane 3"]
+    blocks: Blocks, label: Int[ndarray, "h w"], m: Float[ndarray, "plane 3"]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gauss-Newton on the ranges, with the curvature that the beam's mean sees (eq. 18).
 
@@ -123,10 +128,12 @@ def refit(
         m, its covariance and the chi-square of the residuals for each degree of freedom.
     """
     count = len(m)
-    used = label >= 0
-    plane = label[used]
-    rays, ranges, sigma = image.rays[used], image.range[used], image.sigma[used]
-    spread = _spread(image)[used]
+    used = np.nonzero((label >= 0) & blocks.valid)
+    plane = torch.from_numpy(label[used])
+    rays, ranges, sigma = (
+        torch.from_numpy(each[used]) for each in (blocks.rays, blocks.range, blocks.sigma)
+    )
+    spread = _spread(blocks, used)
     size = torch.bincount(plane, minlength=count)
 
     def linearised(estimate: Tensor) -> tuple[Tensor, Tensor]:
@@ -158,11 +165,9 @@ def systematic(chi2: Tensor, count: Tensor, unknowns: int) -> Tensor:
     return 1.0 + surplus.clamp(min=0.0) * count / unknowns
 
 
-def _spread(image: Image) -> Float[Tensor, "h w 2 3"]:
+def _spread(blocks: Blocks, used: tuple[ndarray, ndarray]) -> Float[Tensor, "block 2 3"]:
     """The standard deviations of the beam, as changes of the ray to the right and down."""
-    side = max(image.sensor.beam, 1)
-    du, dv = torch.gradient(image.rays, dim=(1, 0))
-    return torch.stack([du, dv], -2) * (side / 12**0.5)
+    return torch.from_numpy(blocks.slopes(*used) * (blocks.beam / 12**0.5))
 
 
 def _sums(plane: Tensor, jacobian: Tensor, residual: Tensor, count: int) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,7 @@ from numpy import ndarray
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Lines
+from torchcal.match.image.blocks import Blocks
 from torchcal.match.image.creases import Found, found_creases, straight_borders
 from torchcal.match.image.edges import jump_segments
 from torchcal.match.image.jumps import jumps
@@ -31,20 +32,20 @@ END = 3.0
 """Pixels by which an end may be off."""
 
 
-def image_jumps(image: Image) -> list[Found]:
+def image_jumps(image: Image, blocks: Blocks) -> list[Found]:
     """Jump edges, each once; the planes beside them are not known yet."""
-    segments = jump_segments(image, SHORTEST).ends
-    return _once(jumps(image, segments, _room(segments, max(image.sensor.beam, 1))))
+    segments = jump_segments(blocks, SHORTEST).ends
+    return _once(jumps(image, blocks, segments, _room(segments, max(image.sensor.beam, 1))))
 
 
-def image_lines(image: Image, planar: Planar, jumping: list[Found]) -> Lines:
+def image_lines(image: Image, blocks: Blocks, planar: Planar, jumping: list[Found]) -> Lines:
     """Jump edges and the creases between planes."""
     beam = max(image.sensor.beam, 1)
     meeting = found_creases(image, planar, SHORTEST)
     borders = straight_borders(image, planar, SHORTEST)
     edges = np.array([each.pixels for each in jumping]).reshape(-1, 2, 2)
     sides = _room(np.concatenate([borders, edges]), beam)[: len(borders)]
-    found = _once([*jumping, *meeting, *jumps(image, borders, sides)])
+    found = _once([*jumping, *meeting, *jumps(image, blocks, borders, sides)])
     return _lines(image, [_with_planes(each, planar, beam) for each in found if _sure(image, each)])
 
 
@@ -125,22 +126,23 @@ def _once(found: list[Found]) -> list[Found]:
     """Longer lines first; one that runs along a line or carries it on becomes a part of it."""
     kept: list[Found] = []
     for line in sorted(found, key=lambda each: -_length(each.pixels)):
-        for k, other in enumerate(kept):
-            if _same(other, line):
-                kept[k] = _extended(other, line)
-                break
+        longer = np.array([each.pixels for each in kept]).reshape(-1, 2, 2)
+        same = np.nonzero(_same(longer, line.pixels))[0]
+        if len(same):
+            kept[same[0]] = _extended(kept[same[0]], line)
         else:
             kept.append(line)
     return kept
 
 
-def _same(longer: Found, shorter: Found) -> bool:
-    place, left, cosine = _place(shorter.pixels[None], longer.pixels[None])
-    if cosine[0, 0] < SAME_WAY or np.abs(left).mean() > SAME_PLACE:
-        return False
-    gap = max(place.min() - _length(longer.pixels), -place.max(), 0.0)
-    size = _length(shorter.pixels)
-    return bool(gap < np.clip(size / 2, 8.0, LONGEST_GAP))
+def _same(
+    longer: Float[ndarray, "kept 2 2"], shorter: Float[ndarray, "2 2"]
+) -> Bool[ndarray, " kept"]:
+    place, left, cosine = (each[:, 0] for each in _place(shorter[None], longer))
+    length = np.linalg.norm(longer[:, 1] - longer[:, 0], axis=1)
+    gap = np.maximum(place.min(1) - length, np.maximum(-place.max(1), 0.0))
+    near = gap < np.clip(_length(shorter) / 2, 8.0, LONGEST_GAP)
+    return near & (cosine >= SAME_WAY) & (np.abs(left).mean(1) <= SAME_PLACE)
 
 
 def _extended(longer: Found, shorter: Found) -> Found:

@@ -4,46 +4,47 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 from torchcal.match.elements import Elements
 from torchcal.match.features import Planes
+from torchcal.match.image.blocks import Blocks
 from torchcal.match.image.labels import Planar
 from torchcal.match.image.windows import Image
 
 BORDER = 0.5
 """Pixels by which the border of a region may be off."""
+BESIDE = ((0, 1), (0, -1), (1, 0), (-1, 0))
+"""Steps to the pixels beside one, down and to the right."""
 
 
-def image_planes(image: Image, planar: Planar) -> Planes:
+def image_planes(image: Image, blocks: Blocks, planar: Planar) -> Planes:
     """One element for each plane, at the middle of what is seen of it."""
     count = len(planar.m)
-    rows, columns = np.nonzero(planar.label >= 0)
-    order = np.argsort(planar.label[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    name = planar.label[rows, columns]
-    rays = image.rays[rows, columns]
-    plane = torch.from_numpy(name)
+    label = blocks.of(planar.label)
+    rows, columns = np.nonzero(label >= 0)
+    plane = torch.from_numpy(label[rows, columns])
     m = planar.m
+    rays = torch.from_numpy(blocks.rays[rows, columns])
     inverse = (m[plane] * rays).sum(-1)
     points = rays / inverse[:, None]
     size = torch.bincount(plane, minlength=count).clamp(min=1)
     middle = torch.stack(
         [torch.bincount(plane, points[:, k], minlength=count).to(m) / size for k in range(3)], -1
     )
-    patch = _patch(image, rows, columns) / inverse**3 * m.norm(dim=-1)[plane]
-    area = torch.bincount(plane, patch.abs(), minlength=count).to(m)
-    perimeter = torch.bincount(
-        plane, torch.from_numpy(_edge(planar.label)[rows, columns]) * 1.0, minlength=count
-    )
+    patch = _patch(image, blocks, rows, columns) / inverse**3 * m.norm(dim=-1)[plane]
+    seen = np.bincount(planar.label[planar.label >= 0], minlength=count)
+    area = torch.bincount(plane, patch.abs(), minlength=count).to(m) / size * m.new_tensor(seen)
+    border = _border(planar.label)
+    perimeter = m.new_tensor(np.bincount(planar.label[border], minlength=count))
     return Planes(
         elements=_elements(m, planar.covariance * planar.excess, middle),
         area=area,
-        area_sigma=area * BORDER * perimeter.to(m) / size,
-        outline=_outlines(points, name, count),
+        area_sigma=area * BORDER * perimeter / m.new_tensor(seen).clamp(min=1.0),
+        outline=_outlines(image, planar, border),
     )
 
 
@@ -60,24 +61,30 @@ def _elements(m: Tensor, covariance: Tensor, middle: Tensor) -> Elements:
     return Elements.planes(point, normal, full)
 
 
-def _patch(image: Image, rows: ndarray, columns: ndarray) -> Float[Tensor, " pixel"]:
-    """The solid angle of each pixel in lengths of its ray: ray . (dray/du x dray/dv)."""
-    u = torch.as_tensor(columns, dtype=image.range.dtype)
-    v = torch.as_tensor(rows, dtype=image.range.dtype)
+def _patch(
+    image: Image, blocks: Blocks, rows: ndarray, columns: ndarray
+) -> Float[Tensor, " block"]:
+    """The solid angle of a block's pixels in lengths of its ray: ray . (dray/du x dray/dv)."""
+    u, v = (torch.from_numpy(blocks.side * each + blocks.offset) for each in (columns, rows))
     du, dv = image.sensor.projection.ray_derivatives(u, v)
-    return (image.rays[rows, columns] * torch.linalg.cross(du, dv)).sum(-1)
+    return (torch.from_numpy(blocks.rays[rows, columns]) * torch.linalg.cross(du, dv)).sum(-1)
 
 
-def _edge(label: Int[ndarray, "h w"]) -> ndarray:
-    """Pixels with another label to the right or below."""
-    edge = np.zeros(label.shape, bool)
-    edge[:, :-1] |= label[:, :-1] != label[:, 1:]
-    edge[:-1] |= label[:-1] != label[1:]
-    return edge
+def _border(label: Int[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """Pixels of planes beside another label or the image's border."""
+    around = np.pad(label, 1, constant_values=-1)
+    h, w = label.shape
+    beside = (around[1 + v : h + 1 + v, 1 + u : w + 1 + u] for v, u in BESIDE)
+    return (label >= 0) & np.logical_or.reduce([each != label for each in beside])
 
 
-def _outlines(points: Tensor, name: ndarray, count: int) -> tuple[Tensor, ...]:
-    starts = np.searchsorted(name, np.arange(count + 1))
+def _outlines(image: Image, planar: Planar, border: Bool[ndarray, "h w"]) -> tuple[Tensor, ...]:
+    rows, columns = np.nonzero(border)
+    name = planar.label[rows, columns]
+    order = np.argsort(name, kind="stable")
+    rays = image.rays[rows[order], columns[order]]
+    points = rays / (planar.m[torch.from_numpy(name[order])] * rays).sum(-1, keepdim=True)
+    starts = np.searchsorted(name[order], np.arange(len(planar.m) + 1))
     return tuple(_hull(points[first:last]) for first, last in pairwise(starts))
 
 

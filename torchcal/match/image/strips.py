@@ -6,12 +6,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from torchcal.match.image.blocks import Blocks
 from torchcal.match.image.windows import Image
 
 MOST = 2500
-"""Pixels of a strip that are used."""
+"""Blocks of a strip that are used."""
 STEEP = 3.0
 """The standard deviation of planes' slopes before anything is measured."""
+SETTLED = 0.5
+"""Standard deviations: what smaller steps leave is far below the noise."""
+LEAST = 30
+"""Pixels that must be measured in a strip."""
+FEWEST = 2
+"""Blocks on either side."""
 ROUNDS = 5
 SURE = 2.0
 """Standard deviations of chi-square that are no accident."""
@@ -43,15 +50,17 @@ class _Pixels:
     rays: Float[ndarray, "pixel 3"]
     slopes: Float[ndarray, "pixel 2 3"]
     """The derivatives of the rays to u and to v."""
+    typical: float
+    """m: the median range."""
 
 
 def fit_strip(
-    image: Image, ends: Float[ndarray, "2 2"], sides: tuple[float, float]
+    blocks: Blocks, ends: Float[ndarray, "2 2"], sides: tuple[float, float]
 ) -> Strip | None:
     """Least squares for both planes and the line; None where too little is measured.
 
     Args:
-        image: The measured image.
+        blocks: The measured image.
         ends: Of the segment, in pixels; the nearer surface is to its left.
         sides: Pixels to which the strip may reach to the nearer and to the farther side.
     """
@@ -59,8 +68,8 @@ def fit_strip(
     along = (ends[1] - ends[0]) / length
     normal = np.array([along[1], -along[0]])
     middle = ends.mean(0)
-    pixels = _pixels(image, middle, along, length, sides)
-    beam = max(image.sensor.beam, 1)
+    pixels = _pixels(blocks, middle, along, length, sides)
+    beam = blocks.beam
     if pixels is None:
         return None
     start = _start(pixels, normal, beam)
@@ -91,51 +100,48 @@ def central_ray(image: Image, pixel: Float[ndarray, "2"]) -> tuple[ndarray, ndar
 
 
 def _pixels(
-    image: Image, middle: ndarray, along: ndarray, length: float, sides: tuple[float, float]
+    blocks: Blocks, middle: ndarray, along: ndarray, length: float, sides: tuple[float, float]
 ) -> _Pixels | None:
-    beam = max(image.sensor.beam, 1)
-    trim = min(beam / 2, length / 4)
+    trim = min(blocks.beam / 2, length / 4)
     normal = np.array([along[1], -along[0]])
-    half = (length / 2, max(sides))
-    span = np.abs(along) * half[0] + np.abs(normal) * half[1]
-    low = np.maximum(np.floor(middle - span), 0).astype(int)
-    high = np.minimum(np.ceil(middle + span) + 1, image.range.shape[::-1]).astype(int)
+    span = np.abs(along) * length / 2 + np.abs(normal) * max(sides)
+    start, stop = ((middle + sign * span - blocks.offset) / blocks.side for sign in (-1.0, 1.0))
+    low = np.maximum(np.floor(start), 0).astype(int)
+    high = np.minimum(np.ceil(stop) + 1, blocks.range.shape[::-1]).astype(int)
     if (high <= low).any():
         return None
-    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    v, u = (
+        blocks.side * each + blocks.offset for each in np.mgrid[low[1] : high[1], low[0] : high[0]]
+    )
     at = np.stack([u - middle[0], v - middle[1]], -1)
     across, place = at @ normal, at @ along
-    box = np.s_[low[1] : high[1], low[0] : high[0]]
     inside = (np.abs(place) <= length / 2 - trim) & (across < sides[0]) & (across > -sides[1])
-    (rows, columns) = np.nonzero(inside & image.valid.numpy()[box])
-    if len(rows) < 30:
+    rows, columns = np.nonzero(inside & blocks.valid[low[1] : high[1], low[0] : high[0]])
+    if len(rows) * blocks.side**2 < LEAST:
         return None
     step = 1 + len(rows) // MOST
     rows, columns = rows[::step], columns[::step]
-    return _taken(image, at[rows, columns], rows + low[1], columns + low[0])
+    return _taken(blocks, at[rows, columns], rows + low[1], columns + low[0])
 
 
-def _taken(image: Image, at: ndarray, rows: ndarray, columns: ndarray) -> _Pixels:
-    rays = image.rays.numpy()
-    h, w = rays.shape[:2]
-    right, down = np.minimum(columns + 1, w - 1), np.minimum(rows + 1, h - 1)
-    du = rays[rows, right] - rays[rows, right - 1]
-    dv = rays[down, columns] - rays[down - 1, columns]
+def _taken(blocks: Blocks, at: ndarray, rows: ndarray, columns: ndarray) -> _Pixels:
+    ranges = blocks.range[rows, columns]
     return _Pixels(
         at=at,
-        range=image.range.numpy()[rows, columns],
-        sigma=image.sigma.numpy()[rows, columns],
-        rays=rays[rows, columns],
-        slopes=np.stack([du, dv], 1),
+        range=ranges,
+        sigma=blocks.sigma[rows, columns],
+        rays=blocks.rays[rows, columns],
+        slopes=blocks.slopes(rows, columns),
+        typical=float(np.median(ranges)),
     )
 
 
-def _start(pixels: _Pixels, normal: ndarray, beam: int) -> Float[ndarray, "8"] | None:
+def _start(pixels: _Pixels, normal: ndarray, beam: float) -> Float[ndarray, "8"] | None:
     across = pixels.at @ normal
     planes = []
     for side in (1.0, -1.0):
         own = across * side > 0.25 * beam
-        if own.sum() < 10:
+        if own.sum() < FEWEST:
             return None
         rays, ranges, sigma = pixels.rays[own], pixels.range[own], pixels.sigma[own]
         typical = float(np.median(ranges))
@@ -153,18 +159,20 @@ def _prior(ray: Float[ndarray, "3"], typical: float) -> Float[ndarray, "3 3"]:
 
 
 def _fit(
-    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int, length: float
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: float, length: float
 ) -> tuple[ndarray, ndarray, float] | None:
-    typical = float(np.median(pixels.range))
+    typical = pixels.typical
     prior = np.zeros((8, 8))
     prior[:3, :3] = prior[3:6, 3:6] = _prior(pixels.rays.mean(0), typical)
     prior[6, 6], prior[7, 7] = (1.0 / beam) ** 2 / 4, (length / beam) ** 2 / 16
     limit = np.array([beam / 4.0, beam / (2 * length)])
     for _ in range(ROUNDS):
         residual, jacobian = _whitened(pixels, values, normal, beam)
-        step, _ = _solved(jacobian, residual, prior, values)
+        step, covariance = _solved(jacobian, residual, prior, values)
         step[6:] = np.clip(step[6:], -limit, limit)
         values = values + step
+        if (np.abs(step) < SETTLED * np.sqrt(np.diag(covariance))).all():
+            break
     if not np.isfinite(values).all():
         return None
     residual, jacobian = _whitened(pixels, values, normal, beam)
@@ -176,7 +184,7 @@ def _fit(
 
 
 def _whitened(
-    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: float
 ) -> tuple[Float[ndarray, " pixel"], Float[ndarray, "pixel 8"]]:
     """Residuals and their model's derivatives in standard deviations."""
     model, jacobian = _model(pixels, values, normal, beam)
@@ -188,14 +196,14 @@ def _solved(
 ) -> tuple[Float[ndarray, "8"], Float[ndarray, "8 8"]]:
     """The Gauss-Newton step, and the covariance."""
     information = jacobian.T @ jacobian + prior
-    scale = np.sqrt(np.diag(information))
-    spread = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
-    covariance = spread / np.outer(scale, scale)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    both = np.outer(scale, scale)
+    covariance = np.linalg.inv(information * both) * both
     return covariance @ (jacobian.T @ residual - prior @ values), covariance
 
 
 def _model(
-    pixels: _Pixels, values: ndarray, normal: ndarray, beam: int
+    pixels: _Pixels, values: ndarray, normal: ndarray, beam: float
 ) -> tuple[Float[ndarray, " pixel"], Float[ndarray, "pixel 8"]]:
     turned = normal + np.tan(values[7]) * np.array([normal[1], -normal[0]])
     turned = turned / np.linalg.norm(turned)
@@ -216,7 +224,7 @@ def _model(
 
 def _plane(pixels: _Pixels, m: ndarray, normal: ndarray) -> tuple[ndarray, ndarray]:
     """Ranges of a plane, and how they change from pixel to pixel along a direction."""
-    inverse = np.maximum(pixels.rays @ m, FLATTEST / float(np.median(pixels.range)))
+    inverse = np.maximum(pixels.rays @ m, FLATTEST / pixels.typical)
     slope = (pixels.slopes @ m) @ normal
     return 1.0 / inverse, -slope / inverse**2
 

@@ -4,11 +4,13 @@ m is the plane's normal over its distance from the sensor, turned away from the 
 the plane. That holds for the rays of every projection.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.sensor import Sensor
@@ -81,13 +83,11 @@ def fit_windows(image: Image, *, side: int, stride: int) -> Windows:
     rays = image.rays.permute(2, 0, 1)
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     weighted = weight * rays
-    layers = torch.stack(
-        [
-            *(weighted[i] * rays[j] for i, j in pairs),
-            *(weighted * inverse),
-            weight * inverse.square(),
-            image.valid.to(weight.dtype),
-        ]
+    layers = (
+        *(weighted[i] * rays[j] for i, j in pairs),
+        *(weighted * inverse),
+        weight * inverse.square(),
+        image.valid.to(weight.dtype),
     )
     sums = _window_sums(layers, side, stride)
     information = sums.new_empty(*sums.shape[1:], 3, 3)
@@ -115,6 +115,6 @@ def _solved(
     )
 
 
-def _window_sums(layers: Float[Tensor, "layer h w"], side: int, stride: int) -> Tensor:
-    cells = torch.nn.functional.avg_pool2d(layers, stride, divisor_override=1)
-    return torch.nn.functional.avg_pool2d(cells, side // stride, stride=1, divisor_override=1)
+def _window_sums(layers: Iterable[Float[Tensor, "h w"]], side: int, stride: int) -> Tensor:
+    cells = torch.cat([avg_pool2d(each[None], stride, divisor_override=1) for each in layers])
+    return avg_pool2d(cells, side // stride, stride=1, divisor_override=1)
