@@ -108,7 +108,8 @@ def _within(
         slice(a - start, size - start) for a, start, size in zip(low, first, shape, strict=True)
     )
     fine = fine[cut]
-    return tuple(slice(a, a + size) for a, size in zip(low, fine.shape, strict=True)), fine
+    rows, columns = (slice(a, a + size) for a, size in zip(low, fine.shape, strict=True))
+    return (rows, columns), fine
 
 
 def _pure(label: ndarray, valid: ndarray, half: int) -> ndarray:
@@ -128,7 +129,8 @@ def refit(
         m, its covariance and the chi-square of the residuals for each degree of freedom.
     """
     count = len(m)
-    used = np.nonzero((label >= 0) & blocks.valid)
+    rows, columns = np.nonzero((label >= 0) & blocks.valid)
+    used = rows, columns
     plane = torch.from_numpy(label[used])
     rays, ranges, sigma = (
         torch.from_numpy(each[used]) for each in (blocks.rays, blocks.range, blocks.sigma)
