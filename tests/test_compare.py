@@ -8,7 +8,7 @@ import scenes
 import torch
 from recordings import CAMERA, EYE
 
-from torchcal.calibrate.compare import Belief, classify, compare
+from torchcal.calibrate.compare import Belief, classify, compare, without_range_error
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import FrameComparison, PixelClass
@@ -143,6 +143,40 @@ def test_a_measurement_beside_the_model_is_unmodelled():
     assert (frame.label[:, : column - 1] != PixelClass.UNMODELLED).all()
     assert frame.sigma[:, column + 2 :].isnan().all()
     assert (frame.body[:, column + 2 :] == -1).all()
+
+
+def test_a_beam_half_beside_the_model_is_not_compared():
+    """Its mean is of the part that met something, which says nothing of the emptiness beside it."""
+    sensor = recordings.sensor(CAMERA, beam=9)
+    half = scenes.sheet((-9.0, -9.0, WALL), (0.3, -9.0, WALL), (0.3, 9.0, WALL), (-9.0, 9.0, WALL))
+    job = recordings.hand_held(sensor, [EYE], error=torch.zeros(6, dtype=torch.float64))
+    measured = recordings.record([half], EYE, sensor)
+    job = replace(
+        job,
+        world=recordings.world_of({"half": half}, complete=True),
+        frames=(recordings.frame_of(measured, T_world_sensor=EYE),),
+    )
+    (frame,) = compared(job, certain())
+    label = frame.label
+    assert not (label == PixelClass.UNMODELLED).any()
+    border = measured.isfinite() & (label == PixelClass.NOT_COMPARED)
+    columns = border.any(0).nonzero()[:, 0]
+    assert 4 <= len(columns) <= 9  # of a beam of 9 pixels those that are less than 3/4 full
+    assert border.all(0)[columns].all()
+
+
+def test_a_known_range_error_taken_out_leaves_the_true_ranges_and_the_same_classes():
+    (frame,) = compared(wall_job(), certain())
+    wrong = replace(
+        frame,
+        measured=0.02 + 1.01 * frame.measured,
+        predicted=0.02 + 1.01 * WALL + 0.0 * frame.predicted,
+        sigma=1.01 * frame.sigma,
+    )
+    found = without_range_error(wrong, 0.02, 0.01)
+    torch.testing.assert_close(found.measured, frame.measured)
+    torch.testing.assert_close(found.predicted, torch.full((48, 64), WALL), atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.sigma, frame.sigma)
 
 
 def test_a_sigma_that_is_too_small_is_enlarged_by_what_the_residuals_show():

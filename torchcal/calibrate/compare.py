@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.calibrate.parameters import Parameters
@@ -17,6 +17,10 @@ from torchcal.model.scene import Scene
 from torchcal.model.sensor import Sensor
 from torchcal.render.facets import Facets
 from torchcal.render.synthesis import Synthesis, place_vertices
+
+
+EMPTY = 0.01
+"""Share of the beam that may meet the model where a measurement still counts as unmodelled."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,6 +44,8 @@ class _Shown:
 
     range: Float[Tensor, "h w"]
     """m; NaN where the model is empty."""
+    mixed: Bool[Tensor, "h w"]
+    """Where the beam meets the model with a part that is too small to compare, yet not empty."""
     spread: Float[Tensor, "h w"]
     """sqrt(H P H^T), what the uncertain parameters add (m)."""
     colour: Float[Tensor, "h w 3"]
@@ -67,6 +73,18 @@ def compare(
     )
 
 
+def without_range_error(
+    comparison: FrameComparison, offset: float, scale: float
+) -> FrameComparison:
+    """The same comparison in true ranges: z_measured = offset + (1 + scale) z."""
+    return replace(
+        comparison,
+        measured=(comparison.measured - offset) / (1.0 + scale),
+        predicted=(comparison.predicted - offset) / (1.0 + scale),
+        sigma=comparison.sigma / (1.0 + scale),
+    )
+
+
 def _shown(
     scene: Scene, poses: Tensor, prediction: Prediction, sensor: Sensor, belief: Belief
 ) -> _Shown:
@@ -77,6 +95,7 @@ def _shown(
     colour, normal, body = _appearance(scene, poses, synthesis, sensor)
     return _Shown(
         range=torch.where(modelled, prediction.range, torch.nan),
+        mixed=~modelled & (synthesis.coverage > EMPTY),
         spread=gaussian.predicted_sigma(prediction.jacobian, P, none),
         colour=colour,
         normal=normal,
@@ -109,7 +128,9 @@ def _compare_frame(job: Job, frame: Frame, prediction: _Shown, belief: Belief) -
         measured=measured,
         predicted=prediction.range,
         sigma=sigma,
-        label=classify(measured, prediction.range, sigma, frame.image.usable, job.alpha),
+        label=classify(
+            measured, prediction.range, sigma, frame.image.usable & ~prediction.mixed, job.alpha
+        ),
         body=prediction.body,
         colour=prediction.colour,
         normal=prediction.normal,

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import locate
-from torchcal.calibrate.compare import Belief, compare
+from torchcal.calibrate.compare import Belief, compare, without_range_error
 from torchcal.calibrate.estimate import (
     Choice,
     belief_after,
@@ -66,9 +66,10 @@ def calibrate(
         belief, comparisons = compare(job, scene, parameters, belief)
     result = estimate_of(parameters, belief, choice, comparisons)
     with stages.stage("update"):
+        offset, scale = result.range_offset, result.range_scale
         update = propose_update(
             job,
-            comparisons,
+            [without_range_error(each, offset, scale) for each in comparisons],
             scene.bodies,
             result.Ts_world_sensor,
             correlation_pixels=belief.drift_pixels,
