@@ -18,7 +18,6 @@ from torchcal.model.sensor import Sensor
 from torchcal.render.facets import Facets
 from torchcal.render.synthesis import Synthesis, place_vertices
 
-
 EMPTY = 0.01
 """Share of the beam that may meet the model where a measurement still counts as unmodelled."""
 
