@@ -19,13 +19,16 @@ NEES = (0.15, 3.0)
 """Of single recordings with 6 to 12 parameters: 1 in 1000 is outside."""
 
 
+SENSOR = recordings.sensor(beam=3, sigma=0.005)
+
+
 @pytest.fixture
 def arm_job(tmp_path) -> Job:
     """A sensor before the arm's tool in three postures, nothing unknown."""
     postures = [torch.tensor(each).double() for each in ([0.3, -0.2], [-0.4, 0.2], [0.0, 0.1])]
     return recordings.carried(
         recordings.arm(tmp_path),
-        recordings.sensor(beam=3, sigma=0.005),
+        SENSOR,
         pose(0.1, -0.1, -0.6, 0.0, -1.4, 0.0),
         pose(0.5, 0.0, 0.0, 0.0, 1.4, 0.0),
         postures,
@@ -34,8 +37,7 @@ def arm_job(tmp_path) -> Job:
 
 def hand_job(frames: int) -> Job:
     truths = [pose(0.1 * k, -0.05 * k, 0.02 * k, 0.02 * k, 0.1 * k, 0.05) for k in range(frames)]
-    sensor = recordings.sensor(beam=3, sigma=0.005)
-    return replace(recordings.hand_held(sensor, truths, error=torch.zeros(6).double()), base=None)
+    return replace(recordings.hand_held(SENSOR, truths, error=torch.zeros(6).double()), base=None)
 
 
 def found(job: Job, seed: int, rng: torch.Generator) -> tuple[Trial, Calibration]:

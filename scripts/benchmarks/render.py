@@ -1,7 +1,7 @@
 """Range images of cells and meshes by Embree, Open3D and torchcal, from the same poses."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -41,8 +41,8 @@ cores. In brackets: over Embree's time in the same row.
 - torchcal, depth: `synthesise` with an ideal ray, all poses in one call.
 - torchcal, depth and derivative: with silhouettes, a beam of {BEAM} pixels and the derivative to
   the six parameters of the sensor's pose.
-- A cell is a hall of machinery that fills the image from 2 to 6 m (300 faces: of its objects'
-  boxes); a mesh is a bumpy ball in the middle of the image. The field of view is 50 degrees.
+- The hall of machinery fills the image from 2 to 6 m; a cell is the same with its faces divided
+  (300 faces: of its objects' boxes); a mesh is a bumpy ball in the middle of the image. The field of view is 50 degrees.
 """
 HEADINGS = (
     ("scene", "faces", "image", "poses", "Embree", "Open3D"),
@@ -71,12 +71,18 @@ def measure(*, rounds: int = 5, out: Path = REPORT) -> None:
         out: Where the section `render` is written.
     """
     lines = [_line(sum(HEADINGS, ())), _line(["---"] * len(sum(HEADINGS, ())))]
-    for count in FACES:
-        for setting in (_cell(count), _ball(count)):
-            for side, poses in VIEWS:
-                lines.append(_line(_compared(setting, side, poses, rounds)))
-                print(lines[-1], flush=True)
+    for setting in _settings():
+        for side, poses in VIEWS:
+            lines.append(_line(_compared(setting, side, poses, rounds)))
+            print(lines[-1], flush=True)
     write_section(out, "render", "\n".join([ABOUT.format(rounds=rounds), *lines]))
+
+
+def _settings() -> Iterator[Setting]:
+    yield _seen_cell("hall", _hall())
+    for count in FACES:
+        yield _seen_cell("cell", _cell(count))
+        yield _ball(count)
 
 
 def _compared(setting: Setting, side: int, poses: int, rounds: int) -> list[str]:
@@ -174,22 +180,34 @@ def _camera(side: int) -> Pinhole:
     return Pinhole(width=side, height=side, fx=focal, fy=focal, cx=middle, cy=middle)
 
 
-def _cell(count: int) -> Setting:
-    placed = [
+def _hall_objects() -> list[trimesh.Trimesh]:
+    return [
         item.mesh.copy().apply_transform(item.T_world_object.numpy())
         for item in machine_hall().objects
     ]
+
+
+def _hall() -> trimesh.Trimesh:
+    hall: Any = trimesh.util.concatenate(_hall_objects())
+    return hall
+
+
+def _cell(count: int) -> trimesh.Trimesh:
     if count == min(FACES):
         boxes: Any = trimesh.util.concatenate(
-            [part.bounding_box_oriented.to_mesh() for part in placed]
+            [part.bounding_box_oriented.to_mesh() for part in _hall_objects()]
         )
-        return _setting("cell", boxes, (0.0, -2.1, 1.8), (0.0, 0.9, 1.0))
-    hall: Any = trimesh.util.concatenate(placed)
+        return boxes
+    hall = _hall()
     edge = hall.scale / 10.0
     while len(hall.faces) < count:
         hall = hall.subdivide_to_size(edge)
         edge *= 0.8
-    return _setting("cell", hall, (0.0, -2.1, 1.8), (0.0, 0.9, 1.0))
+    return hall
+
+
+def _seen_cell(name: str, mesh: trimesh.Trimesh) -> Setting:
+    return _setting(name, mesh, (0.0, -2.1, 1.8), (0.0, 0.9, 1.0))
 
 
 def _ball(count: int) -> Setting:
