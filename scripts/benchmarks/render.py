@@ -42,7 +42,8 @@ cores. In brackets: over Embree's time in the same row.
 - torchcal, depth and derivative: with silhouettes, a beam of {BEAM} pixels and the derivative to
   the six parameters of the sensor's pose.
 - The hall of machinery fills the image from 2 to 6 m; a cell is the same with its faces divided
-  (300 faces: of its objects' boxes); a mesh is a bumpy ball in the middle of the image. The field of view is 50 degrees.
+  (300 faces: of its objects' boxes); a mesh is a bumpy ball in the middle of the image. The field
+  of view is 50 degrees.
 """
 HEADINGS = (
     ("scene", "faces", "image", "poses", "Embree", "Open3D"),
