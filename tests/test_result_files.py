@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ import trimesh
 from display_scene import calibration
 from PIL import Image
 
+from torchcal.calibrate.parameters import AXES
 from torchcal.calibrate.result import (
     FrameCheck,
     JobCheck,
+    ObjectVerdict,
     ParameterCheck,
     Status,
     UnobservableDirection,
@@ -27,11 +30,12 @@ from torchcal.cli.result_files import (
     write_results,
 )
 from torchcal.geometry import se3
+from torchcal.model.job import RangePrior
 from torchcal.model.robot import load_robot
 
 KEYS = (
     "status message parameters names covariance unobservable alternatives frames objects added"
-    " timing"
+    " timing next_view"
 ).split()
 
 
@@ -204,3 +208,58 @@ def test_corrected_urdf_places_the_base(arm_calibration, tmp_path):
     poses = read.forward_kinematics(torch.zeros(1, 1, dtype=torch.float64))
     T_world_root = poses[0, read.link_index("root")]
     torch.testing.assert_close(T_world_root, arm_calibration.estimate.T_world_base)
+
+
+def test_every_block_has_its_entry_with_its_sigma():
+    """Values of a calibration in which joints, an object and the range were unknown."""
+    known = calibration()
+    T = torch.eye(4, dtype=torch.float64)
+    T[0, 3] = 0.25
+    names = ("joints.elbow", *(f"objects.wall.{axis}" for axis in AXES), "range.offset")
+    variances = torch.arange(1.0, 9.0, dtype=torch.float64).square()
+    estimate = replace(
+        known.estimate,
+        names=names,
+        covariance=variances.diag(),
+        joint_offsets={"elbow": 0.02},
+        Ts_world_object={"wall": T},
+        range_offset=0.003,
+        range_scale=0.0,
+    )
+    job = replace(known.job, range=RangePrior(offset_sigma=0.01, scale_sigma=0.0))
+    parameters = result_dict(replace(known, estimate=estimate, job=job))["parameters"]
+    assert parameters["joints"] == {"elbow": {"offset": 0.02, "sigma": 1.0}}
+    assert parameters["objects"] == {
+        "wall": {
+            "T_world_object": T.tolist(),
+            "position_sigma_m": [2.0, 3.0, 4.0],
+            "rotation_sigma_rad": [5.0, 6.0, 7.0],
+        }
+    }
+    assert parameters["range"] == {
+        "offset_m": 0.003,
+        "scale": 0.0,
+        "offset_sigma_m": 8.0,
+        "scale_sigma": 0.0,
+    }
+
+
+def test_an_object_that_moved_says_where_to_and_is_written_there():
+    known = calibration()
+    T = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.1, 0.0, 0.2], dtype=torch.float64))
+    update = replace(
+        known.update,
+        verdicts={
+            **known.update.verdicts,
+            "wall": ObjectVerdict(
+                verdict="moved", agree=9, seen_through=0, hidden=0, T_world_object=T
+            ),
+        },
+    )
+    estimate = replace(known.estimate, Ts_world_object={"wall": T})
+    moved = replace(known, update=update, estimate=estimate)
+    assert result_dict(moved)["objects"]["wall"]["T_world_object"] == T.tolist()
+    world = corrected_world(moved)
+    assert world is not None
+    wall = next(item for item in world.objects if item.name == "wall")
+    torch.testing.assert_close(wall.T_world_object, T)

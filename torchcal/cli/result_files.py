@@ -45,8 +45,8 @@ def result_dict(calibration: Calibration) -> dict[str, Any]:
         "frames": [_frame(calibration, index) for index in range(len(calibration.comparisons))],
         "objects": {name: _verdict(verdict) for name, verdict in update.verdicts.items()},
         "added": [_added(item) for item in update.added],
-        "next_view": None if calibration.next_view is None else asdict(calibration.next_view),
         "timing": calibration.timing,
+        "next_view": None if calibration.next_view is None else asdict(calibration.next_view),
     }
     return without_nan(result)
 

@@ -64,13 +64,14 @@ def _table(title: str, *headings: str) -> Table:
 
 
 def _correction_table(pose: Correction) -> Table:
-    table = _table(escape(pose.title), "axis", "correction", "± 1σ now", "± 1σ before")
+    table = _table(escape(pose.title), "axis", "correction", "± 1σ now", "± 1σ before", "")
     for row in pose.axes:
         if row.held:
-            table.add_row(row.axis, "held", "–", "–")
+            table.add_row(row.axis, "held", "–", "–", "")
         else:
             numbers = (f"{row.change:+.3f}", f"{row.sigma:.3f}", f"{row.prior:.4g}")
-            table.add_row(row.axis, *(f"{number} {row.unit}" for number in numbers))
+            told = "from the prior" if row.from_prior else ""
+            table.add_row(row.axis, *(f"{number} {row.unit}" for number in numbers), told)
     return table
 
 
@@ -89,7 +90,7 @@ def _doubts(calibration: Calibration) -> Iterator[Text]:
 
 
 def _direction(direction: UnobservableDirection) -> Text:
-    return Text(f"the images say nothing about: {direction.words}", style="yellow")
+    return Text(direction.words, style="yellow")
 
 
 def _frame_table(calibration: Calibration) -> Table:

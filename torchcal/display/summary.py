@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.observability import LEFT
 from torchcal.calibrate.result import Calibration, NextView
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
@@ -32,6 +33,11 @@ class AxisCorrection:
     """0 where the axis was held."""
     prior: float
     """What the job thought possible, one standard deviation; 0 where the axis was held."""
+
+    @property
+    def from_prior(self) -> bool:
+        """Whether the images said next to nothing about it."""
+        return self.sigma > LEFT * self.prior
 
     @property
     def held(self) -> bool:
