@@ -60,7 +60,7 @@ def test_corrections_carry_units_and_sigmas():
 
 def test_what_could_not_be_known_is_listed():
     page = rendered(status=Status.UNOBSERVABLE)
-    assert "movement along the wall" in page
+    assert "Movement along the wall" in page
     assert "Another pose explains" in page
 
 
