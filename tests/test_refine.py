@@ -144,7 +144,7 @@ def test_coarse_fit_brings_all_candidates_near():
     parameters = Parameters.of(job, scene)
     steps = torch.stack([torch.zeros(6, dtype=torch.float64), NEARBY, -2.0 * NEARBY])
     starts = parameters.retract(parameters.nominal.expand(3, 2, 4, 4), steps)
-    solution = coarse_fit(observe(job), scene.surface, parameters, starts)
+    _, solution = coarse_fit(observe(job), scene.surface, parameters, starts)
     errors = se3.log(parameters.sensor_poses(solution.state)[:, 0])
     assert float(errors[:, :3].norm(dim=-1).max()) < 0.005
     assert float(errors[:, 3:].norm(dim=-1).max()) < 0.005

@@ -26,6 +26,7 @@ from torchcal.calibrate.result import (
     FrameComparison,
     Status,
 )
+from torchcal.calibrate.rivals import explains_as_well
 from torchcal.calibrate.search import are_apart, find_candidates
 from torchcal.calibrate.slots import BASE, MOUNT
 from torchcal.geometry import gaussian
@@ -33,8 +34,6 @@ from torchcal.model.job import Job
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Drift
 
-RIVAL = 0.02
-"""A state whose coarse cost is at most this share higher explains the images as well."""
 FARTHEST = 5.0
 """Prior sigmas: an estimate farther from the nominal state contradicts what the job believes."""
 AGREEING = 3.0
@@ -83,15 +82,15 @@ def _coarse(job: Job) -> Observation:
 
 
 def _best(coarse: Observation, scene: Scene, parameters: Parameters, candidates: Tensor) -> Choice:
-    solution = coarse_fit(coarse, scene.surface, parameters, candidates)
+    fit, solution = coarse_fit(coarse, scene.surface, parameters, candidates)
     scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
     order = scores.argsort().tolist()
     best = order[0]
     rivals = tuple(
         (solution.state[i], float(scores[i]))
         for i in order[1:]
-        if scores[i] <= (1.0 + RIVAL) * scores[best]
-        and are_apart(solution.state[i], solution.state[best], parameters)
+        if are_apart(solution.state[i], solution.state[best], parameters)
+        and explains_as_well(fit, solution.state[i], solution.state[best])
     )
     return Choice(state=solution.state[best], score=float(scores[best]), rivals=rivals)
 

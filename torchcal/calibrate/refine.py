@@ -76,7 +76,7 @@ def coarse_fit(
     surface: Surface,
     parameters: Parameters,
     states: Float[Tensor, "candidate slot 4 4"],
-) -> Solution:
+) -> tuple[RangeFit, Solution]:
     """First fits of all candidates on coarse images, at one cut-off so that costs compare."""
     fit = RangeFit(
         observation=observation,
@@ -92,7 +92,7 @@ def coarse_fit(
         solution = minimise(shared(fit.evaluate), parameters.retract, states, config)
         states = solution.state
     assert solution is not None, "there are two rounds"
-    return solution
+    return fit, solution
 
 
 def _cutoff(fit: RangeFit, state: Tensor) -> float:

@@ -1,0 +1,68 @@
+"""Which states explain the images as well as the best one."""
+
+from dataclasses import replace
+
+import pytest
+import recordings
+import scenes
+import torch
+from recordings import EYE, prior
+
+from torchcal.calibrate.observation import observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.rivals import explains_as_well
+from torchcal.geometry import robust
+from torchcal.model.job import Job
+
+
+def fit_of(job: Job) -> RangeFit:
+    scene = build_job_scene(job)
+    return RangeFit(
+        observation=observe(job),
+        surface=scene.surface,
+        parameters=Parameters.of(job, scene),
+        cutoff=robust.EFFICIENT,
+        drift=None,
+    )
+
+
+@pytest.fixture
+def small_object() -> RangeFit:
+    """A crate that fills a hundredth of the image stands where the model has it."""
+    crate = scenes.box((0.065, 0.065, 0.065), (0.2, 0.1, 2.0), (0.3, 0.2, 0.1))
+    meshes = {**recordings.room(), "small": crate}
+    job = recordings.hand_held(
+        recordings.sensor(beam=3), [EYE], error=torch.zeros(6).double(), real=meshes
+    )
+    world = recordings.world_of(meshes)
+    return fit_of(replace(job, world=world, base=None, objects={"small": prior(0.1, 0.5)}))
+
+
+def test_a_small_object_elsewhere_is_no_rival(small_object):
+    """The other pixels, a hundred times as many, have no say."""
+    parameters = small_object.parameters
+    step = torch.tensor([0.03, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    best, other = parameters.nominal, parameters.retract(parameters.nominal, step)
+    assert not explains_as_well(small_object, other, best)
+
+
+def test_a_state_within_the_noise_is_one(small_object):
+    parameters = small_object.parameters
+    step = torch.tensor([1e-4, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    other = parameters.retract(parameters.nominal, step)
+    assert explains_as_well(small_object, other, parameters.nominal)
+
+
+def test_a_wall_is_the_same_from_beside(rng):
+    wall = {"wall": scenes.wall(2.0)}
+    job = recordings.hand_held(
+        recordings.sensor(beam=3), [EYE], error=torch.zeros(6).double(), real=wall
+    )
+    fit = fit_of(replace(job, world=recordings.world_of(wall), base=prior(1.0, 1.0)))
+    step = torch.tensor([0.5, -0.3, 0.0, 0.0, 0.0, 0.7], dtype=torch.float64)
+    other = fit.parameters.retract(fit.parameters.nominal, step)
+    assert explains_as_well(fit, other, fit.parameters.nominal)
+    nearer = fit.parameters.retract(fit.parameters.nominal, 0.1 * torch.eye(6).double()[2])
+    assert not explains_as_well(fit, nearer, fit.parameters.nominal)
