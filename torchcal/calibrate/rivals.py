@@ -12,7 +12,7 @@ from torch import Tensor
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.geometry import robust
 
-RIVAL = 0.02
+RIVAL = 0.05
 """Share by which the robust cost of a rival may be higher: models are a little wrong everywhere."""
 DECISIVE = 10.0
 """Difference of robust costs that noise does not reach: a likelihood ratio of 20,000."""
