@@ -104,13 +104,15 @@ def refined(fit: RangeFit, states: Float[Tensor, "state slot 4 4"]) -> Solution:
 def agreement(fit: RangeFit, state: Float[Tensor, "slot 4 4"]) -> float:
     """Share of the measured pixels of a fit within the noise of what the state predicts."""
     agree = sum(
-        int(((f.residual.abs() <= AGREEING * _expected(fit.observation, k)) & f.compared).sum())
+        int(
+            ((f.residual.abs() <= AGREEING * expected_sigma(fit.observation, k)) & f.compared).sum()
+        )
         for k, f in enumerate(fit.residuals(state))
     )
     return agree / max(1, int(fit.observation.measured.sum()))
 
 
-def _expected(observation: Observation, frame: int) -> Tensor:
+def expected_sigma(observation: Observation, frame: int) -> Float[Tensor, "h w"]:
     """Standard deviations (m) with what blocks of pixels have in common."""
     noise, sigma = observation.sensor.noise, observation.sigma[frame]
     if noise.drift is not None:

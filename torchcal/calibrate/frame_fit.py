@@ -1,0 +1,153 @@
+"""What one frame says of the parameters: quick fits of rays, then the exact image once."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.observation import Observation, coarser, observe, sharpened
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pixel_stage import AGREEING, block_side, expected_sigma
+from torchcal.calibrate.range_fit import FrameResidual, RangeFit, embedded
+from torchcal.calibrate.refine import Refined, fit_cutoff, reliable_share
+from torchcal.geometry import robust
+from torchcal.model.job import Job
+from torchcal.model.scene import Scene
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
+from torchcal.solve.image_equations import normal_equations
+
+WIDTH = 160
+"""Images are averaged to about so many pixels along their longer side."""
+LEAST_WHOLE = 0.5
+"""Share of the blocks that must be whole before those with missing pixels are left out."""
+RAYS = GaussNewtonConfig(iterations=3, ripple=0.005, tolerance=5.0)
+CUTOFFS = (60.0, 16.0, robust.EFFICIENT)
+"""Standard deviations of a block: narrowed in steps, lest one wall outvotes all that is not yet
+where it should be."""
+FAR = 50.0
+"""Standard deviations: after a longer step the exact image is looked at again."""
+LOOKS = 4
+"""Most exact images for one frame."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trust:
+    """How much of what a frame seems to tell can be relied on."""
+
+    sigma_scale: float = 1.0
+    """Residuals over the sensor's sigma."""
+    share: float = 1.0
+    """Of the information, where neighbouring errors are alike."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Told:
+    """What a frame tells, near a state, without any prior."""
+
+    state: Float[Tensor, "slot 4 4"]
+    information: Float[Tensor, "parameter parameter"]
+    gradient: Float[Tensor, " parameter"]
+    """Information times the step to where the frame alone would have the parameters."""
+    agreement: float
+    """Share of the measured blocks of pixels that are where the model says."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameFit:
+    """A frame's images and what is expected of it: nominal state and prior of ``parameters``."""
+
+    fit: RangeFit
+    """Of blocks of pixels."""
+    coarse: Observation
+    """Of blocks twice as long, compared with the rays in their middles."""
+    side: int
+    """Of a block (pixels)."""
+
+    @staticmethod
+    def of(job: Job, scene: Scene, parameters: Parameters, trust: Trust) -> "FrameFit":
+        """Averages the only frame of a job."""
+        observation = observe(job)
+        projection, beam = job.sensor.projection, job.sensor.beam
+        side = max(1, round(max(projection.width, projection.height) / WIDTH))
+        side = block_side(beam, side) if beam > 1 else side
+        whole = coarser(observation, side, least=1.0)
+        blocks = coarser(observation, side)
+        if whole.measured.sum() >= LEAST_WHOLE * blocks.measured.sum():
+            blocks = whole
+        fit = RangeFit(
+            observation=blocks,
+            surface=scene.surface,
+            parameters=parameters,
+            cutoff=robust.EFFICIENT,
+            drift=None,
+            sigma_scale=trust.sigma_scale,
+        )
+        return FrameFit(fit=fit, coarse=sharpened(coarser(blocks, 2)), side=side)
+
+    @property
+    def measured(self) -> bool:
+        """Whether there is anything to compare."""
+        return bool(self.coarse.measured.any())
+
+    def near(self, state: Float[Tensor, "slot 4 4"]) -> Float[Tensor, "slot 4 4"]:
+        """Where rays lead from a state within a few pixels of the coarse image."""
+        rays = replace(self.fit, observation=self.coarse)
+        wide = max(fit_cutoff(rays, state), CUTOFFS[0])
+        for cutoff in (wide, *CUTOFFS[1:]):
+            state = self._fitted(replace(rays, cutoff=cutoff), state).state[0]
+        return state
+
+    def told(self, state: Float[Tensor, "slot 4 4"], share: float) -> Told:
+        """What the exact image says near a state, after steps to where the frame is explained.
+
+        Args:
+            state: Within about a pixel of where the frame is explained best.
+            share: Of the information that can be relied on.
+        """
+        parameters = self.fit.parameters
+        wide = torch.diag(parameters.prior_sigma.double().square().reciprocal())
+        for _ in range(LOOKS):
+            told = self._look(state, share)
+            offset = parameters.difference(state, parameters.nominal)
+            step = torch.linalg.solve(told.information + wide, told.gradient - wide @ offset)
+            if float(step @ told.information @ step) <= FAR**2:
+                break
+            state = parameters.retract(state, step)
+        return told
+
+    def trust(self, state: Float[Tensor, "slot 4 4"]) -> Trust:
+        """What the residuals at a fitted state say of the noise."""
+        v = [(f.residual / f.sigma)[f.compared] for f in self.fit.residuals(state)]
+        scale = max(1.0, self.fit.sigma_scale * robust.robust_scale(torch.cat(v)))
+        known = self.fit.observation.sensor.noise.drift
+        if known is not None and known.sigma == 0.0:
+            return Trust(sigma_scale=scale)
+        fit = replace(self.fit, sigma_scale=scale)
+        solution = self._fitted(fit, state)
+        refined = Refined(state=solution.state[0], fit=fit, factor=self.side, solution=solution)
+        return Trust(sigma_scale=scale, share=reliable_share(refined))
+
+    def _fitted(self, fit: RangeFit, state: Tensor) -> Solution:
+        return minimise(shared(fit.evaluate), fit.parameters.retract, state[None], RAYS)
+
+    def _look(self, state: Tensor, share: float) -> Told:
+        fit = self.fit
+        frame = next(fit.residuals(state))
+        information, gradient = normal_equations(fit.separate(frame), frame.jacobian)
+        # The weights of the biweight hold more than it tells, and its cost is flatter (3.3).
+        c = gradient.new_tensor(fit.cutoff)
+        relied = share / robust.weighted_variance(c)
+        count = len(fit.parameters.names)
+        pull = gradient.new_zeros(count).index_add(0, frame.active, gradient)
+        return Told(
+            state=state,
+            information=relied * embedded(information, frame.active, count),
+            gradient=relied / robust.relative_curvature(c) * pull,
+            agreement=self._agreement(frame),
+        )
+
+    def _agreement(self, frame: FrameResidual) -> float:
+        observation = self.fit.observation
+        agrees = frame.residual.abs() <= AGREEING * expected_sigma(observation, 0)
+        return int((agrees & frame.compared).sum()) / max(1, int(observation.measured.sum()))
