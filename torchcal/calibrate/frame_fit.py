@@ -6,7 +6,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.observation import Observation, coarser, observe, sharpened
+from torchcal.calibrate.observation import (
+    Observation,
+    coarser,
+    near_jumps,
+    observe,
+    sharpened,
+)
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pixel_stage import AGREEING, block_side, expected_sigma
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit, embedded
@@ -21,10 +27,10 @@ WIDTH = 160
 """Images are averaged to about so many pixels along their longer side."""
 LEAST_WHOLE = 0.5
 """Share of the blocks that must be whole before those with missing pixels are left out."""
-RAYS = GaussNewtonConfig(iterations=3, ripple=0.005, tolerance=5.0)
-CUTOFFS = (60.0, 16.0, robust.EFFICIENT)
-"""Standard deviations of a block: narrowed in steps, lest one wall outvotes all that is not yet
-where it should be."""
+RAYS = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=3.0, longest=1.5)
+CUTOFFS = (60.0, 20.0, robust.EFFICIENT)
+"""Standard deviations of a block, after a first fit of what fits best: walls tell the turn, and
+only then are the other surfaces near enough to tell the shift along the walls."""
 FAR = 50.0
 """Standard deviations: after a longer step the exact image is looked at again."""
 LOOKS = 4
@@ -60,7 +66,7 @@ class FrameFit:
     fit: RangeFit
     """Of blocks of pixels."""
     coarse: Observation
-    """Of blocks twice as long, compared with the rays in their middles."""
+    """Of blocks twice as long that show one surface, compared with the rays in their middles."""
     side: int
     """Of a block (pixels)."""
 
@@ -83,7 +89,9 @@ class FrameFit:
             drift=None,
             sigma_scale=trust.sigma_scale,
         )
-        return FrameFit(fit=fit, coarse=sharpened(coarser(blocks, 2)), side=side)
+        coarse = sharpened(coarser(blocks, 2))
+        jumps = near_jumps(coarse.range, coarse.measured, coarse.sigma)
+        return FrameFit(fit=fit, coarse=coarse.without(jumps), side=side)
 
     @property
     def measured(self) -> bool:
@@ -93,8 +101,7 @@ class FrameFit:
     def near(self, state: Float[Tensor, "slot 4 4"]) -> Float[Tensor, "slot 4 4"]:
         """Where rays lead from a state within a few pixels of the coarse image."""
         rays = replace(self.fit, observation=self.coarse)
-        wide = max(fit_cutoff(rays, state), CUTOFFS[0])
-        for cutoff in (wide, *CUTOFFS[1:]):
+        for cutoff in (fit_cutoff(rays, state), *CUTOFFS):
             state = self._fitted(replace(rays, cutoff=cutoff), state).state[0]
         return state
 

@@ -32,8 +32,10 @@ CHANCE = 1e-6
 """An alarm if chance alone would make a frame differ as much less often than this."""
 BUMP = {"m": 0.03, "rad": 0.035, "1": 0.01}
 """What a bump may change at once, in the parameters' units, beyond the drift."""
-SUDDEN = 0.7
-"""With less than this share of the agreement before, other states are tried, too."""
+SUDDEN = 0.9
+"""With less than this share of the usual agreement, other states are tried, too."""
+FORGOTTEN = 0.1
+"""Share of the usual agreement that each frame replaces where it agrees less."""
 PATIENCE = 3
 """So many lost frames in a row are an alarm."""
 
@@ -55,7 +57,7 @@ class Tracker:
     trust: Trust | None = None
     """None until a frame was explained."""
     agreement: float = 0.0
-    """Of the last frame that was explained."""
+    """What is usual: of the last frames that were explained."""
     lost: int = 0
     """Frames in a row that were not explained."""
 
@@ -176,9 +178,9 @@ class Tracker:
             anew = self._joined(told, self.covariance + torch.diag(self._bump.square()))
             state, P = self._moved(told, anew), anew.covariance
             words = self._what_moved(state)
-        after = replace(
-            self, state=state, covariance=P, trust=trust, agreement=told.agreement, lost=0
-        )
+        usual = self.agreement + FORGOTTEN * (told.agreement - self.agreement)
+        usual = max(usual, told.agreement)
+        after = replace(self, state=state, covariance=P, trust=trust, agreement=usual, lost=0)
         return after, Tracked(
             name=frame.image.name,
             status=TrackStatus.TRACKING,
