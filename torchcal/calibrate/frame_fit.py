@@ -27,8 +27,9 @@ WIDTH = 160
 """Images are averaged to about so many pixels along their longer side."""
 LEAST_WHOLE = 0.5
 """Share of the blocks that must be whole before those with missing pixels are left out."""
-RAYS = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=3.0, longest=1.5)
-CUTOFFS = (60.0, 20.0, robust.EFFICIENT)
+RAYS = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=20.0, longest=1.5)
+"""A whole image's standard deviations are so short that 20 of them are a hundredth of a pixel."""
+CUTOFFS = (60.0, robust.EFFICIENT)
 """Standard deviations of a block, after a first fit of what fits best: walls tell the turn, and
 only then are the other surfaces near enough to tell the shift along the walls."""
 FAR = 50.0

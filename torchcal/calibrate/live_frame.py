@@ -35,11 +35,10 @@ def usable_frame(frame: Frame, job: Job) -> Frame | str:
     elif frame.T_world_sensor is not None and not _is_pose(frame.T_world_sensor):
         return "Found a nominal pose that is none; expected a finite 4 x 4 matrix."
     inside = (image.range >= job.sensor.near) & (image.range <= job.sensor.far)
-    usable = image.usable & inside
-    if not usable.any():
+    if not (image.usable & inside).any():
         return "The image holds no measured pixel that may be used."
     ranges = torch.where(inside, image.range, torch.nan)
-    return replace(frame, image=replace(image, range=ranges, usable=usable))
+    return replace(frame, image=replace(image, range=ranges))
 
 
 def _is_pose(T: torch.Tensor) -> bool:

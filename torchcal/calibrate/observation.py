@@ -62,7 +62,8 @@ def observed(
     if sensor.beam <= 1:
         # Real cameras mix or invent ranges at jumps; a wide beam mixes them as eq. 17 says.
         measured = measured & ~near_jumps(ranges, measured, sigma)
-        measured = measured & ~grown(~usable, MASK_MARGIN)
+        if not usable.all():
+            measured = measured & ~grown(~usable, MASK_MARGIN)
     return Observation(
         sensor=sensor,
         range=torch.where(measured, ranges, 0.0),
