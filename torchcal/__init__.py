@@ -35,6 +35,10 @@ from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update
 from torchcal.calibrate.site import Site as Site
+from torchcal.calibrate.tracked import Tracked as Tracked
+from torchcal.calibrate.tracked import TrackStatus as TrackStatus
+from torchcal.calibrate.tracker import Tracker as Tracker
+from torchcal.calibrate.wander import Wander as Wander
 from torchcal.demo import make_demo as make_demo
 from torchcal.errors import JobError as JobError
 from torchcal.errors import TorchcalError as TorchcalError

@@ -30,6 +30,8 @@ class Tracked:
     names: tuple[str, ...]
     """Of the parameters, as ``Parameters.names``."""
     state: Float[Tensor, "slot 4 4"]
+    corrections: Float[Tensor, " parameter"]
+    """Parameters that lead from the job's nominal values to ``state``."""
     covariance: Float[Tensor, "parameter parameter"]
     """P of eq. 3 of all parameters."""
     T_world_sensor: Float[Tensor, "4 4"]

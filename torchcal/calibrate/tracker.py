@@ -73,8 +73,12 @@ class Tracker:
             generator: Draws the starts of searches; on the CPU.
 
         Raises:
-            TorchcalError: If the job declares nothing unknown or the drift is not of its unknowns.
+            TorchcalError: If the job declares nothing unknown, the drift is not of its unknowns or
+                the start is to be sought anywhere.
         """
+        if job.initial != "nominal":
+            found = f"{job.file}: found search.initial = {job.initial!r}"
+            raise TorchcalError(f"{found}; expected 'nominal', because trackers begin near it")
         alone = only_frame(job)
         scene = build_job_scene(job)
         parameters = Parameters.of(alone, scene)
@@ -100,20 +104,31 @@ class Tracker:
         began = time.perf_counter()
         usable = usable_frame(frame, self.job)
         if isinstance(usable, str):
-            after = self._expecting(self.parameters)
-            return after, after._unused(frame, TrackStatus.UNUSABLE, usable, began)
+            return self.skip(frame.image.name, usable)
         expecting = self._expecting(self._placed(usable))
         alone = replace(self.job, frames=(usable,))
         fit = FrameFit.of(alone, self.scene, expecting._wide(), self.trust or Trust())
         if not fit.measured:
             words = "The image holds no area that can be compared."
-            return expecting, expecting._unused(frame, TrackStatus.UNUSABLE, words, began)
+            return expecting, expecting._unused(
+                frame.image.name, TrackStatus.UNUSABLE, words, began
+            )
         told, trust = expecting._explained(alone, fit)
         if told.agreement < EXPLAINED:
             after = replace(expecting, lost=self.lost + 1)
             words = f"The image is not explained, {after.lost} in a row."
-            return after, after._unused(frame, TrackStatus.LOST, words, began)
+            return after, after._unused(frame.image.name, TrackStatus.LOST, words, began)
         return expecting._believing(told, trust, frame, began)
+
+    def skip(self, name: str, why: str) -> tuple["Tracker", Tracked]:
+        """Passes a frame over that could not be had: what is believed gets less sure.
+
+        Args:
+            name: Of the frame.
+            why: One sentence for a person.
+        """
+        after = self._expecting(self.parameters)
+        return after, after._unused(name, TrackStatus.UNUSABLE, why, time.perf_counter())
 
     def _expecting(self, parameters: Parameters) -> "Tracker":
         """A frame later: less sure by the drift, and with a new error of the frame's own."""
@@ -217,14 +232,15 @@ class Tracker:
         return {
             "names": self.parameters.names,
             "state": self.state,
+            "corrections": self.parameters.difference(self.state, self.parameters.nominal),
             "covariance": self.covariance,
             "T_world_sensor": self.parameters.sensor_poses(self.state)[0],
             "pose_covariance": gaussian.moved_covariance(self.covariance, J),
         }
 
-    def _unused(self, frame: Frame, status: TrackStatus, message: str, began: float) -> Tracked:
+    def _unused(self, name: str, status: TrackStatus, message: str, began: float) -> Tracked:
         return Tracked(
-            name=frame.image.name,
+            name=name,
             status=status,
             alarm=status == TrackStatus.LOST and self.lost >= PATIENCE,
             message=message,

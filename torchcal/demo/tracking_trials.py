@@ -4,6 +4,7 @@ Images come from ``torchcal.demo.raycast``, so that no estimator is tested on it
 """
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from torch import Tensor
 
 from torchcal.demo import raycast
 from torchcal.demo.machine_hall import machine_hall, random_view
+from torchcal.demo.range_trials import meshes_in_world
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Frame, Job, PosePrior
@@ -105,6 +107,45 @@ def recorded(
     usable = torch.ones(ranges.shape, dtype=torch.bool)
     measured = RangeImage(name=name, file=f"{name}.npy", range=ranges, usable=usable)
     return Frame(image=measured, joints=None, T_world_sensor=T_world_sensor)
+
+
+def recording(
+    poses: Float[Tensor, "view 4 4"],
+    count: int,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    *,
+    error: Float[Tensor, "4 4"] | None = None,
+    bump: Float[Tensor, "4 4"] | None = None,
+) -> Iterator[tuple[Frame, Float[Tensor, "4 4"]]]:
+    """Frames one by one, each with the camera's true pose; views are cast once and come again.
+
+    Args:
+        poses: Where the camera goes, back and forth.
+        count: Of the frames.
+        sensor: What records.
+        rng: Of the noise.
+        error: Of odometry, on the left of the true poses; None: there is no odometry.
+        bump: The camera's pose after half of the frames, in the one that it should have.
+    """
+    meshes = meshes_in_world(machine_hall())
+    images: dict[tuple[int, bool], ndarray] = {}
+    for k in range(count):
+        view, bumped = _back_and_forth(k, len(poses)), bump is not None and 2 * k >= count
+        truth = poses[view] @ bump if bump is not None and bumped else poses[view]
+        if (view, bumped) not in images:
+            images[view, bumped] = cast(meshes, truth, sensor)
+        known = None if error is None else error @ poses[view]
+        image = images[view, bumped]
+        yield recorded(f"{k + 1:04d}", image, sensor, rng, T_world_sensor=known), truth
+
+
+def _back_and_forth(k: int, count: int) -> int:
+    """0, 1 .. count - 1, count - 2 .. 1, 0, 1 .."""
+    if count == 1:
+        return 0
+    place = k % (2 * count - 2)
+    return min(place, 2 * count - 2 - place)
 
 
 def camera_job(sensor: Sensor, T_world_sensor: Float[Tensor, "4 4"], prior: PosePrior) -> Job:
