@@ -16,10 +16,11 @@ from torchcal.calibrate.observation import (
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pixel_stage import AGREEING, block_side, expected_sigma
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit, embedded
-from torchcal.calibrate.refine import Refined, fit_cutoff, reliable_share
+from torchcal.calibrate.refine import Refined, fit_cutoff, reliable_share, with_noise
 from torchcal.geometry import robust
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
+from torchcal.model.sensor import Drift
 from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
 from torchcal.solve.image_equations import normal_equations
 
@@ -27,13 +28,13 @@ WIDTH = 160
 """Images are averaged to about so many pixels along their longer side."""
 LEAST_WHOLE = 0.5
 """Share of the blocks that must be whole before those with missing pixels are left out."""
-RAYS = GaussNewtonConfig(iterations=6, ripple=0.005, tolerance=20.0, longest=1.5)
-"""A whole image's standard deviations are so short that 20 of them are a hundredth of a pixel."""
+CLOSE = 0.3
+"""A step that changes the blocks by less than this part of their sigma (rms) is the last."""
+STEPS = 6
+"""Most for each cut-off."""
 CUTOFFS = (60.0, robust.EFFICIENT)
 """Standard deviations of a block, after a first fit of what fits best: walls tell the turn, and
 only then are the other surfaces near enough to tell the shift along the walls."""
-FAR = 50.0
-"""Standard deviations: after a longer step the exact image is looked at again."""
 LOOKS = 4
 """Most exact images for one frame."""
 
@@ -44,8 +45,10 @@ class Trust:
 
     sigma_scale: float = 1.0
     """Residuals over the sensor's sigma."""
+    drift: Drift | None = None
+    """What varies slowly over the image; its length in blocks of pixels."""
     share: float = 1.0
-    """Of the information, where neighbouring errors are alike."""
+    """Of the information, where neighbouring errors are alike beyond that."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -87,7 +90,7 @@ class FrameFit:
             surface=scene.surface,
             parameters=parameters,
             cutoff=robust.EFFICIENT,
-            drift=None,
+            drift=trust.drift,
             sigma_scale=trust.sigma_scale,
         )
         coarse = sharpened(coarser(blocks, 2))
@@ -101,7 +104,7 @@ class FrameFit:
 
     def near(self, state: Float[Tensor, "slot 4 4"]) -> Float[Tensor, "slot 4 4"]:
         """Where rays lead from a state within a few pixels of the coarse image."""
-        rays = replace(self.fit, observation=self.coarse)
+        rays = replace(self.fit, observation=self.coarse, drift=None)
         for cutoff in (fit_cutoff(rays, state), *CUTOFFS):
             state = self._fitted(replace(rays, cutoff=cutoff), state).state[0]
         return state
@@ -115,31 +118,43 @@ class FrameFit:
         """
         parameters = self.fit.parameters
         wide = torch.diag(parameters.prior_sigma.double().square().reciprocal())
-        for _ in range(LOOKS):
-            told = self._look(state, share)
+        told, frame = self._look(state, share)
+        for _ in range(LOOKS - 1):
             offset = parameters.difference(state, parameters.nominal)
             step = torch.linalg.solve(told.information + wide, told.gradient - wide @ offset)
-            if float(step @ told.information @ step) <= FAR**2:
+            change = (frame.jacobian.double() @ step[frame.active] / frame.sigma)[frame.compared]
+            if not change.square().mean() > CLOSE**2:
                 break
             state = parameters.retract(state, step)
+            told, frame = self._look(state, share)
         return told
 
     def trust(self, state: Float[Tensor, "slot 4 4"]) -> Trust:
         """What the residuals at a fitted state say of the noise."""
-        v = [(f.residual / f.sigma)[f.compared] for f in self.fit.residuals(state)]
-        scale = max(1.0, self.fit.sigma_scale * robust.robust_scale(torch.cat(v)))
-        known = self.fit.observation.sensor.noise.drift
-        if known is not None and known.sigma == 0.0:
-            return Trust(sigma_scale=scale)
-        fit = replace(self.fit, sigma_scale=scale)
-        solution = self._fitted(fit, state)
-        refined = Refined(state=solution.state[0], fit=fit, factor=self.side, solution=solution)
-        return Trust(sigma_scale=scale, share=reliable_share(refined))
+        fit = with_noise(self.fit, state, self.side)
+        known, share = fit.observation.sensor.noise.drift, 1.0
+        if known is None or known.sigma > 0.0:
+            solution = self._fitted(fit, state)
+            fit = with_noise(fit, solution.state[0], self.side)
+            refined = Refined(state=solution.state[0], fit=fit, factor=self.side, solution=solution)
+            share = reliable_share(refined)
+        return Trust(sigma_scale=fit.sigma_scale, drift=fit.drift, share=share)
+
+    def trusting(self, trust: Trust) -> "FrameFit":
+        """The same with another noise."""
+        fit = replace(self.fit, sigma_scale=trust.sigma_scale, drift=trust.drift)
+        return replace(self, fit=fit)
 
     def _fitted(self, fit: RangeFit, state: Tensor) -> Solution:
-        return minimise(shared(fit.evaluate), fit.parameters.retract, state[None], RAYS)
+        config = GaussNewtonConfig(
+            iterations=STEPS,
+            ripple=0.005,
+            tolerance=CLOSE * float(fit.observation.measured.sum()) ** 0.5,
+            longest=1.5,
+        )
+        return minimise(shared(fit.evaluate), fit.parameters.retract, state[None], config)
 
-    def _look(self, state: Tensor, share: float) -> Told:
+    def _look(self, state: Tensor, share: float) -> tuple[Told, FrameResidual]:
         fit = self.fit
         frame = next(fit.residuals(state))
         information, gradient = normal_equations(fit.separate(frame), frame.jacobian)
@@ -148,12 +163,13 @@ class FrameFit:
         relied = share / robust.weighted_variance(c)
         count = len(fit.parameters.names)
         pull = gradient.new_zeros(count).index_add(0, frame.active, gradient)
-        return Told(
+        told = Told(
             state=state,
             information=relied * embedded(information, frame.active, count),
             gradient=relied / robust.relative_curvature(c) * pull,
             agreement=self._agreement(frame),
         )
+        return told, frame
 
     def _agreement(self, frame: FrameResidual) -> float:
         observation = self.fit.observation

@@ -169,18 +169,19 @@ class Tracker:
 
     def _explained(self, alone: Job, fit: FrameFit) -> tuple[Told, Trust]:
         """What the frame tells at the state that explains it best, and how far to believe it."""
-        parameters = fit.fit.parameters
-        if self.trust is not None:
-            told = fit.told(fit.near(self.state), self.trust.share)
-            if told.agreement >= SUDDEN * self.agreement:
-                return told, self.trust
-        start = choose_start(alone, self.scene, parameters, self.generator).state
-        found = fit.told(start, 1.0 if self.trust is None else self.trust.share)
-        if self.trust is not None:
-            return max(told, found, key=lambda each: each.agreement), self.trust
-        trust = fit.trust(found.state)
-        fit = replace(fit, fit=replace(fit.fit, sigma_scale=trust.sigma_scale))
-        return fit.told(found.state, trust.share), trust
+        if self.trust is None:
+            found = fit.told(self._sought(alone, fit), 1.0)
+            trust = fit.trust(found.state)
+            return fit.trusting(trust).told(found.state, trust.share), trust
+        told = fit.told(fit.near(self.state), self.trust.share)
+        if told.agreement < SUDDEN * self.agreement:
+            found = fit.told(self._sought(alone, fit), self.trust.share)
+            told = found if found.agreement > told.agreement else told
+        return told, self.trust
+
+    def _sought(self, alone: Job, fit: FrameFit) -> Tensor:
+        """Where a search leads that starts all over the fit's prior."""
+        return choose_start(alone, self.scene, fit.fit.parameters, self.generator).state
 
     def _believing(
         self, told: Told, trust: Trust, frame: Frame, began: float
