@@ -25,9 +25,8 @@ def usable_frame(frame: Frame, job: Job) -> Frame | str:
     """The frame without what its sensor cannot have measured, or a sentence that says why not."""
     image, projection = frame.image, job.sensor.projection
     expected = projection.height, projection.width
-    for what, part in (("range image", image.range), ("mask", image.usable)):
-        if tuple(part.shape) != expected:
-            return f"Found a {what} of shape {tuple(part.shape)}; expected {expected}."
+    if {tuple(image.range.shape), tuple(image.usable.shape)} != {expected}:
+        return f"Found an image of shape {tuple(image.range.shape)}; expected {expected}."
     if job.robot is not None:
         joints, count = frame.joints, len(job.robot.joint_names)
         if joints is None or tuple(joints.shape) != (count,) or not joints.isfinite().all():

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.estimate import EXPLAINED, choose_start
+from torchcal.calibrate.estimate import EXPLAINED, FARTHEST, choose_start
 from torchcal.calibrate.frame_fit import FrameFit, Told, Trust
 from torchcal.calibrate.innovation import Innovation, innovation
 from torchcal.calibrate.live_frame import only_frame, usable_frame
@@ -114,7 +114,7 @@ class Tracker:
                 frame.image.name, TrackStatus.UNUSABLE, words, began
             )
         told, trust = expecting._explained(alone, fit)
-        if told.agreement < EXPLAINED:
+        if told.agreement < EXPLAINED or expecting._is_far(told.state):
             after = replace(expecting, lost=self.lost + 1)
             words = f"The image is not explained, {after.lost} in a row."
             return after, after._unused(frame.image.name, TrackStatus.LOST, words, began)
@@ -159,13 +159,19 @@ class Tracker:
 
     @property
     def _bump(self) -> Tensor:
-        """What may change at once, as standard deviations."""
-        return self.drift.new_tensor([BUMP[unit] for unit in self.parameters.units])
+        """What may have changed at once, as standard deviations: more the longer one is lost."""
+        bump = self.drift.new_tensor([BUMP[unit] for unit in self.parameters.units])
+        return (1.0 + self.lost) * bump
 
     def _wide(self) -> Parameters:
         """What a frame is fitted with: the expected state, and a prior that allows for a bump."""
         sigma = (self.covariance.diagonal() + self._bump.square()).sqrt()
         return replace(self.parameters, nominal=self.state, prior_sigma=sigma)
+
+    def _is_far(self, state: Tensor) -> bool:
+        """Whether a state is farther from the expected one than a bump explains."""
+        step = self.parameters.difference(state, self.state) / self._wide().prior_sigma
+        return bool((step.abs() > FARTHEST).any())
 
     def _explained(self, alone: Job, fit: FrameFit) -> tuple[Told, Trust]:
         """What the frame tells at the state that explains it best, and how far to believe it."""
