@@ -9,6 +9,7 @@ from torch import Tensor
 from torchcal.calibrate.observation import (
     Observation,
     coarser,
+    grown,
     near_jumps,
     observe,
     sharpened,
@@ -35,6 +36,8 @@ STEPS = 6
 CUTOFFS = (60.0, robust.EFFICIENT)
 """Standard deviations of a block, after a first fit of what fits best: walls tell the turn, and
 only then are the other surfaces near enough to tell the shift along the walls."""
+APART = 5.0
+"""Standard deviations beyond which a block shows something else than the model."""
 LOOKS = 4
 """Most exact images for one frame."""
 
@@ -156,7 +159,8 @@ class FrameFit:
 
     def _look(self, state: Tensor, share: float) -> tuple[Told, FrameResidual]:
         fit = self.fit
-        frame = next(fit.residuals(state))
+        whole = next(fit.residuals(state))
+        frame = self._explainable(whole)
         information, gradient = normal_equations(fit.separate(frame), frame.jacobian)
         # The weights of the biweight hold more than it tells, and its cost is flatter (3.3).
         c = gradient.new_tensor(fit.cutoff)
@@ -167,9 +171,19 @@ class FrameFit:
             state=state,
             information=relied * embedded(information, frame.active, count),
             gradient=relied / robust.relative_curvature(c) * pull,
-            agreement=self._agreement(frame),
+            agreement=self._agreement(whole),
         )
         return told, frame
+
+    def _explainable(self, frame: FrameResidual) -> FrameResidual:
+        """Without the blocks that show something else, and those whose beams may hold a part of it.
+
+        These differ too little for the biweight, and all to one side.
+        """
+        sigma = torch.hypot(expected_sigma(self.fit.observation, 0), frame.sigma)
+        apart = (frame.residual.abs() > APART * sigma) & frame.compared
+        reach = max(1, self.fit.observation.sensor.beam)
+        return replace(frame, compared=frame.compared & ~grown(apart[None], reach)[0])
 
     def _agreement(self, frame: FrameResidual) -> float:
         observation = self.fit.observation
