@@ -25,7 +25,7 @@ from torchcal.model.sensor import Drift
 from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
 from torchcal.solve.image_equations import normal_equations
 
-WIDTH = 160
+WIDTH = 128
 """Images are averaged to about so many pixels along their longer side."""
 LEAST_WHOLE = 0.5
 """Share of the blocks that must be whole before those with missing pixels are left out."""
