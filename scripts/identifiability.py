@@ -31,7 +31,7 @@ class Options:
 def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     try:
-        job = torchcal.read_job(options.job, recorded=False)
+        job = torchcal.read_recording(options.job).planned()
         found = torchcal.foresee(job, generator=torch.Generator().manual_seed(options.seed))
     except torchcal.TorchcalError as error:
         sys.exit(str(error))

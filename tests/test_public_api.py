@@ -128,10 +128,23 @@ def test_the_example_of_the_readme_prints_the_true_pose(
     np.testing.assert_allclose(found, T_world_base.numpy(), atol=CLOSE)
 
 
+@pytest.mark.slow
+def test_the_readmes_example_frame_by_frame_tracks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "torchcal-demo").mkdir()
+    write_small_demo(tmp_path / "torchcal-demo")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(examples("python")[1], "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines
+    assert all(line.startswith("tracking False tensor(") for line in lines)
+
+
 def test_the_readmes_example_with_points_finds_where_they_were_moved(
     capsys: pytest.CaptureFixture[str],
 ):
-    code = examples("python")[1]
+    code = examples("python")[2]
     names: dict[str, object] = {}
     exec(compile(code, "README.md", "exec"), names)
     poses = names["poses"]

@@ -3,6 +3,7 @@
 Every command is a call or two of what stands here::
 
     torchcal calibrate    read_job, calibrate, write_results
+    torchcal follow       read_recording, follow
     torchcal render       read_job, predict
     torchcal check        read_job, check
     torchcal demo         make_demo, then as calibrate
@@ -20,6 +21,7 @@ from torchcal.calibrate.element_pose import find_element_poses as find_element_p
 from torchcal.calibrate.element_result import ElementPoses as ElementPoses
 from torchcal.calibrate.element_result import ElementStatus as ElementStatus
 from torchcal.calibrate.element_search import ElementSearch as ElementSearch
+from torchcal.calibrate.follow import follow as follow
 from torchcal.calibrate.localisation import Localisation as Localisation
 from torchcal.calibrate.localisation import Matches as Matches
 from torchcal.calibrate.localisation import Rival as Rival
@@ -38,6 +40,10 @@ from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update
 from torchcal.calibrate.site import Site as Site
+from torchcal.calibrate.tracked import Tracked as Tracked
+from torchcal.calibrate.tracked import TrackStatus as TrackStatus
+from torchcal.calibrate.tracker import Tracker as Tracker
+from torchcal.calibrate.wander import Wander as Wander
 from torchcal.demo import make_demo as make_demo
 from torchcal.errors import JobError as JobError
 from torchcal.errors import TorchcalError as TorchcalError
@@ -50,7 +56,9 @@ from torchcal.match.features import Features as Features
 from torchcal.match.image.features import image_features as image_features
 from torchcal.match.prior_gate import Prior as Prior
 from torchcal.model.job import Job as Job
+from torchcal.model.read_job import Recording as Recording
 from torchcal.model.read_job import read_job as read_job
+from torchcal.model.read_job import read_recording as read_recording
 from torchcal.model.robot import Robot as Robot
 from torchcal.model.robot import load_robot as load_robot
 from torchcal.model.scene import Scene as Scene

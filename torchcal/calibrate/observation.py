@@ -16,6 +16,8 @@ MASK_MARGIN = 5
 wrong there in the same way all along the border."""
 SMALLEST = 64
 """Images are not cropped to fewer pixels than this along a side."""
+ROUNDING = 1e-4
+"""Of a mean over up to a thousand ones."""
 SURE = 15.0
 """Sigmas of a pixel that a step off the neighbours' plane must have to be a jump: six of those
 of a second difference."""
@@ -60,7 +62,8 @@ def observed(
     if sensor.beam <= 1:
         # Real cameras mix or invent ranges at jumps; a wide beam mixes them as eq. 17 says.
         measured = measured & ~near_jumps(ranges, measured, sigma)
-        measured = measured & ~grown(~usable, MASK_MARGIN)
+        if not usable.all():
+            measured = measured & ~grown(~usable, MASK_MARGIN)
     return Observation(
         sensor=sensor,
         range=torch.where(measured, ranges, 0.0),
@@ -91,13 +94,20 @@ def cropped(observation: Observation) -> Observation:
     )
 
 
-def coarser(observation: Observation, factor: int) -> Observation:
-    """Means over blocks of ``factor`` x ``factor`` pixels of which at least half were measured."""
+def coarser(observation: Observation, factor: int, *, least: float = 0.5) -> Observation:
+    """Means over blocks of ``factor`` x ``factor`` pixels.
+
+    Args:
+        observation: The images.
+        factor: Side of a block (pixels).
+        least: Share of a block's pixels that must be measured. The mean of some of them is that of
+            a place a little beside the block's middle.
+    """
     if factor == 1:
         return observation
     sensor = observation.sensor
     count = _block_mean(observation.measured.to(observation.range), factor)
-    enough = count >= 0.5
+    enough = count >= least - ROUNDING
     safe = torch.where(enough, count, 1.0)
     ranges = _block_mean(observation.range, factor) / safe
     sigma = _block_mean(torch.where(observation.measured, observation.sigma, 0.0), factor) / safe
@@ -151,4 +161,6 @@ def _bend(images: Tensor) -> Tensor:
 
 
 def _dilated(images: Tensor, side: int) -> Tensor:
-    return functional.max_pool2d(images[:, None], side, stride=1, padding=side // 2)[:, 0]
+    # First along rows, then along columns: a square at once takes many times as long.
+    rows = functional.max_pool2d(images[:, None], (1, side), stride=1, padding=(0, side // 2))
+    return functional.max_pool2d(rows, (side, 1), stride=1, padding=(side // 2, 0))[:, 0]

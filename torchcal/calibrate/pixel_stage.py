@@ -135,11 +135,13 @@ def _agreement(frame: FrameResidual, pixels: Observation, blocks: Observation) -
     side = pixels.range.shape[-1] // blocks.range.shape[-1]
     residual = replace(pixels, range=frame.residual[None], measured=frame.compared[None])
     means = coarser(residual, side)
-    agree = (means.range.abs() <= AGREEING * _expected(blocks)) & means.measured & blocks.measured
+    agree = (
+        (means.range.abs() <= AGREEING * expected_sigma(blocks)) & means.measured & blocks.measured
+    )
     return int(agree.sum()) / max(1, int(blocks.measured.sum()))
 
 
-def _expected(observation: Observation) -> Tensor:
+def expected_sigma(observation: Observation) -> Float[Tensor, "frame h w"]:
     """Standard deviations (m) with what blocks of pixels have in common."""
     noise, sigma = observation.sensor.noise, observation.sigma
     if noise.drift is not None:

@@ -88,14 +88,14 @@ def coarse_fit(
     config = GaussNewtonConfig(iterations=6, ripple=RIPPLE)
     solution = None
     for _ in range(2):
-        fit = replace(fit, cutoff=min(_cutoff(fit, state) for state in states))
+        fit = replace(fit, cutoff=min(fit_cutoff(fit, state) for state in states))
         solution = minimise(shared(fit.evaluate), parameters.retract, states, config)
         states = solution.state
     assert solution is not None, "there are two rounds"
     return fit, solution
 
 
-def _cutoff(fit: RangeFit, state: Tensor) -> float:
+def fit_cutoff(fit: RangeFit, state: Float[Tensor, "slot 4 4"]) -> float:
     """Eq. 16 over all frames, not below the efficient cut-off."""
     v = [(f.residual / f.sigma)[f.compared] for f in fit.residuals(state)]
     return robust.cutoff(torch.cat(v))
@@ -225,7 +225,15 @@ def _curvature(refined: Refined) -> float:
 
 
 def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter"]:
-    """P of eq. 3 after the fit: the information, divided by how much blocks of pixels scatter more.
+    """P of eq. 3 after the fit: the prior and as much of the information as can be relied on."""
+    fit = refined.fit
+    prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
+    information = refined.solution.equations.information[0] - prior
+    return covariance(prior + reliable_share(refined) * information)
+
+
+def reliable_share(refined: Refined) -> float:
+    """The share of the images' information that is left when neighbouring errors are alike.
 
     The gradients of blocks of pixels scatter as the information says if the noise model is right.
     Their excess is what neighbouring errors share beyond it: the information is divided by it.
@@ -240,5 +248,4 @@ def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter
     prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
     information = refined.solution.equations.information[0] - prior
     excess = (covariance(information) @ scatter).diagonal().mean().nan_to_num(1.0)
-    share = _curvature(refined) ** 2 / excess.clamp(min=1.0)
-    return covariance(prior + share * information)
+    return float(_curvature(refined) ** 2 / excess.clamp(min=1.0))

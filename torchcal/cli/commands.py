@@ -59,8 +59,8 @@ def run_render(command: Render, out: Console, err: Console) -> int:
         files = [{"depth": f"depth/{name}.npy", "preview": f"preview/{name}.png"} for name in names]
         _print_json({"frames": files}, out)
     else:
-        _line(out, f"{len(names)} predicted range images (m) are in {command.out / 'depth'}")
-        _line(out, f"Pictures of them are in {command.out / 'preview'}")
+        line(out, f"{len(names)} predicted range images (m) are in {command.out / 'depth'}")
+        line(out, f"Pictures of them are in {command.out / 'preview'}")
     return USABLE
 
 
@@ -129,11 +129,11 @@ def _tell(calibration: Calibration, options: Options, folder: Path, out: Console
         _print_json(result_dict(calibration), out)
         return
     out.print(calibration_view(calibration))
-    _line(out, f"Open {folder / 'report.html'}")
+    line(out, f"Open {folder / 'report.html'}")
 
 
-def _line(out: Console, words: str) -> None:
-    """Words as they are: no markup, no line breaks of our own."""
+def line(out: Console, words: str) -> None:
+    """Prints words as they are: no markup, no line breaks of our own."""
     out.print(words, markup=False, highlight=False, soft_wrap=True)
 
 

@@ -10,7 +10,8 @@ from typing import Any
 from rich.console import Console
 
 from torchcal.cli import commands
-from torchcal.cli.options import Calibrate, Check, Command, Demo, Render, parse
+from torchcal.cli.follow import run_follow
+from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Render, parse
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -40,6 +41,7 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
     """What carries out a command."""
     return {
         Calibrate: commands.run_calibrate,
+        Follow: run_follow,
         Render: commands.run_render,
         Check: commands.run_check,
         Demo: commands.run_demo,

@@ -25,6 +25,8 @@ class Options:
     """Print the result as JSON on standard output, and nothing else there."""
 
 
+_BY_SHARE = "(default: a hundredth of its sigma in the job)"
+
 Shared = Annotated[Options, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 
 
@@ -38,6 +40,23 @@ class Calibrate:
     """Folder for the results; an earlier result there is replaced as a whole."""
     estimate: Flag = True
     """Compare at the nominal pose, with the uncertainty that the job states."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Follow:
+    """Estimate frame by frame, and raise an alarm when something was moved."""
+
+    job: JobFile
+    """The job: a TOML file; its frames in the order in which they were taken."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for frames.jsonl and result.json; an earlier one is replaced as a whole."""
+    shift: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint=_BY_SHARE)] = None
+    """Metres that the base, or a sensor without a robot, may move from frame to frame (1 sigma)."""
+    turn_deg: Annotated[
+        float | None, tyro.conf.arg(metavar="DEG", help_behavior_hint=_BY_SHARE)
+    ] = None
+    """Degrees that it may turn."""
     options: Shared = Options()
 
 
@@ -70,10 +89,11 @@ class Demo:
     options: Shared = Options()
 
 
-Command = Calibrate | Render | Check | Demo
+Command = Calibrate | Follow | Render | Check | Demo
 
 COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
+    "follow": Follow,
     "render": Render,
     "check": Check,
     "demo": Demo,

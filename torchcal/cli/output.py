@@ -12,7 +12,7 @@ from torchcal.errors import TorchcalError
 MARKERS = ("result.json", "preview")
 """What every folder that torchcal wrote holds, here or in ``result`` (the demo)."""
 
-WRITTEN = ("result.json", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
+WRITTEN = ("result.json", "frames.jsonl", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
 WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png")
 """Files that torchcal writes."""
 

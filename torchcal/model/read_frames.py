@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -24,27 +25,57 @@ _MOST_TURNS = 2.0
 """A revolute joint beyond this many turns was given in degrees."""
 
 
-def read_frames(
-    file: Path, tables: list[FrameTable], sensor: Sensor, robot: Robot | None, *, recorded: bool
-) -> tuple[Frame, ...]:
-    """The frames of a job, in float64 on the CPU.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FrameFile:
+    """A frame whose image is still in its file."""
+
+    file: Path
+    """The job's."""
+    key: str
+    """Of its table in the job file."""
+    name: str
+    table: FrameTable
+    sensor: Sensor
+    joints: Float[Tensor, " joint"] | None
+    T_world_sensor: Float[Tensor, "4 4"] | None
+
+    def read(self) -> Frame:
+        """Reads the image, in float64 on the CPU.
+
+        Raises:
+            JobError: If image or mask cannot be used.
+        """
+        image = _read_image(self.file, self.key, self.name, self.table, self.sensor)
+        return Frame(image=image, joints=self.joints, T_world_sensor=self.T_world_sensor)
+
+    def blank(self) -> Frame:
+        """The frame before its image is taken."""
+        image = RangeImage.blank(self.name, self.table.depth, self.sensor)
+        return Frame(image=image, joints=self.joints, T_world_sensor=self.T_world_sensor)
+
+
+def find_frames(
+    file: Path, tables: list[FrameTable], sensor: Sensor, robot: Robot | None
+) -> tuple[FrameFile, ...]:
+    """The frames of a job without their images, in float64 on the CPU.
 
     Args:
         file: The job's.
         tables: As the job has them.
         sensor: What takes the images.
         robot: What carries it, if any.
-        recorded: False: the images are still to be taken and are left blank.
 
     Raises:
-        JobError: If an image or a mask cannot be used, or a joint does not exist.
+        JobError: If a joint does not exist or its value is in degrees.
     """
     names = _unique([Path(table.depth).stem for table in tables])
     return tuple(
-        Frame(
-            image=_read_image(file, f"frame[{i}]", name, table, sensor)
-            if recorded
-            else RangeImage.blank(name, table.depth, sensor),
+        FrameFile(
+            file=file,
+            key=f"frame[{i}]",
+            name=name,
+            table=table,
+            sensor=sensor,
             joints=_joint_values(file, f"frame[{i}]", table.joints or {}, robot) if robot else None,
             T_world_sensor=None if robot else pose(table.pose or PoseTable()),
         )

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from torchcal.model.job_schema import (
     RangeSigmas,
     WorldTable,
 )
-from torchcal.model.read_frames import existing_file, pose, read_frames
+from torchcal.model.read_frames import FrameFile, existing_file, find_frames, pose
 from torchcal.model.read_sensor import read_sensor, with_preset
 from torchcal.model.robot import Robot, load_robot
 from torchcal.model.world import World, load_world
@@ -30,7 +30,6 @@ from torchcal.model.world import World, load_world
 def read_job(
     file: Path | str,
     *,
-    recorded: bool = True,
     dtype: torch.dtype = torch.float64,
     device: torch.device | str = "cpu",
 ) -> Job:
@@ -38,7 +37,6 @@ def read_job(
 
     Args:
         file: The TOML file; the paths in it are relative to it.
-        recorded: False: the images and masks need not be there yet and are left blank.
         dtype: The type of all poses, joint values and images.
         device: Where they lie.
 
@@ -49,6 +47,43 @@ def read_job(
         JobError: At the first mistake: the file or one that it names cannot be read, a key is
             unknown, missing, of the wrong type or out of its limits, or a name does not exist.
     """
+    recording = read_recording(file, dtype=dtype, device=device)
+    frames = tuple(recording.frame(k) for k in range(len(recording.files)))
+    return replace(recording.job, frames=frames)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Recording:
+    """A job whose images are read one by one, when they are asked for."""
+
+    job: Job
+    """Without frames."""
+    files: tuple[FrameFile, ...]
+    dtype: torch.dtype
+    device: torch.device
+
+    def frame(self, index: int) -> Frame:
+        """Reads one frame.
+
+        Raises:
+            JobError: If its image or mask cannot be used.
+        """
+        return _frame_to(self.files[index].read(), self.dtype, self.device)
+
+    def planned(self) -> Job:
+        """The job before its images are taken: they are blank and need not be there."""
+        frames = (_frame_to(each.blank(), self.dtype, self.device) for each in self.files)
+        return replace(self.job, frames=tuple(frames))
+
+
+def read_recording(
+    file: Path | str, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+) -> Recording:
+    """Reads a job file and everything that it names but the images; as ``read_job``.
+
+    Raises:
+        JobError: As ``read_job``.
+    """
     file = Path(file)
     table = _read_tables(file)
     check_tables(file, table)
@@ -56,9 +91,8 @@ def read_job(
     robot = _read_robot(file, table)
     world = _read_world(file, table.world, dtype, device) if table.world else None
     check_unknowns(file, table, robot, world)
-    frames = read_frames(file, table.frame, sensor, robot, recorded=recorded)
     base = table.robot.base if table.robot else PoseTable()
-    return Job(
+    job = Job(
         file=file,
         world=world,
         robot=robot,
@@ -66,7 +100,7 @@ def read_job(
         link=table.sensor.link,
         T_world_base=pose(base).to(device, dtype),
         T_link_sensor=pose(table.sensor.mount or PoseTable()).to(device, dtype),
-        frames=tuple(_frame_to(frame, dtype, device) for frame in frames),
+        frames=(),
         base=_prior(table.unknown.base, dtype, device),
         mount=_prior(table.unknown.mount, dtype, device),
         joints=_joint_sigmas(table.unknown.joints, robot),
@@ -80,6 +114,8 @@ def read_job(
         initial=table.search.initial,
         alpha=table.search.alpha,
     )
+    files = find_frames(file, table.frame, sensor, robot)
+    return Recording(job=job, files=files, dtype=dtype, device=torch.device(device))
 
 
 def _read_tables(file: Path) -> JobTable:

@@ -1,0 +1,258 @@
+"""Continuous calibration: one frame after the other, with an alarm when something was moved.
+
+Between frames what is believed gets less sure by the drift model. A frame is fitted with little
+regard to it, so that a bumped camera is found; then both are joined if chance explains how they
+differ, and if not the frame is believed.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.estimate import EXPLAINED, FARTHEST, choose_start
+from torchcal.calibrate.frame_fit import FrameFit, Told, Trust
+from torchcal.calibrate.innovation import Innovation, innovation
+from torchcal.calibrate.live_frame import only_frame, usable_frame
+from torchcal.calibrate.observability import parameter_words
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.slots import BASE
+from torchcal.calibrate.tracked import Tracked, TrackStatus
+from torchcal.calibrate.wander import Wander, own_error
+from torchcal.errors import TorchcalError
+from torchcal.geometry import gaussian, se3
+from torchcal.model.job import Frame, Job
+from torchcal.model.scene import Scene
+
+CHANCE = 1e-6
+"""An alarm if chance alone would make a frame differ as much less often than this."""
+BUMP = {"m": 0.03, "rad": 0.035, "1": 0.01}
+"""What a bump may change at once, in the parameters' units, beyond the drift."""
+SUDDEN = 0.9
+"""With less than this share of the usual agreement, other states are tried, too."""
+FORGOTTEN = 0.1
+"""Share of the usual agreement that each frame replaces where it agrees less."""
+PATIENCE = 3
+"""So many lost frames in a row are an alarm."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tracker:
+    """What is believed of a job's unknowns before its next frame."""
+
+    job: Job
+    """Without frames."""
+    scene: Scene
+    parameters: Parameters
+    """Of one frame: the last one that could be placed."""
+    drift: Float[Tensor, " parameter"]
+    """Standard deviation of the change between two frames."""
+    generator: torch.Generator
+    state: Float[Tensor, "slot 4 4"]
+    covariance: Float[Tensor, "parameter parameter"]
+    trust: Trust | None = None
+    """None until a frame was explained."""
+    agreement: float = 0.0
+    """What is usual: of the last frames that were explained."""
+    lost: int = 0
+    """Frames in a row that were not explained."""
+
+    @staticmethod
+    def of(job: Job, *, drift: Wander | None = None, generator: torch.Generator) -> "Tracker":
+        """Begins with what a job believes.
+
+        Args:
+            job: World, robot, sensor and what is unknown; its frames are not looked at. Without a
+                robot the first one's nominal pose is where the sensor is believed to start; if
+                there is none, it is ``job.T_world_base``.
+            drift: How much the unknowns may change between two frames.
+            generator: Draws the starts of searches; on the CPU.
+
+        Raises:
+            TorchcalError: If the job declares nothing unknown, the drift is not of its unknowns or
+                the start is to be sought anywhere.
+        """
+        if job.initial != "nominal":
+            found = f"{job.file}: found search.initial = {job.initial!r}"
+            raise TorchcalError(f"{found}; expected 'nominal', because trackers begin near it")
+        alone = only_frame(job)
+        scene = build_job_scene(job)
+        parameters = Parameters.of(alone, scene)
+        if not parameters.names:
+            raise TorchcalError(f"{job.file}: found nothing unknown; expected something to track")
+        return Tracker(
+            job=replace(job, frames=()),
+            scene=scene,
+            parameters=parameters,
+            drift=(drift or Wander()).sigmas(parameters),
+            generator=generator,
+            state=parameters.nominal,
+            covariance=torch.diag(parameters.prior_sigma.square()),
+        )
+
+    def step(self, frame: Frame) -> tuple["Tracker", Tracked]:
+        """Takes the next frame.
+
+        Returns:
+            The tracker for the frame after it, and what is believed now. A frame that cannot be
+            used changes no estimate and is no error.
+        """
+        began = time.perf_counter()
+        usable = usable_frame(frame, self.job)
+        if isinstance(usable, str):
+            return self.skip(frame.image.name, usable)
+        expecting = self._expecting(self._placed(usable))
+        alone = replace(self.job, frames=(usable,))
+        fit = FrameFit.of(alone, self.scene, expecting._wide(), self.trust or Trust())
+        if not fit.measured:
+            words = "The image holds no area that can be compared."
+            return expecting, expecting._unused(
+                frame.image.name, TrackStatus.UNUSABLE, words, began
+            )
+        told, trust = expecting._explained(alone, fit)
+        if told.agreement < EXPLAINED or expecting._is_far(told.state):
+            after = replace(expecting, lost=self.lost + 1)
+            words = f"The image is not explained, {after.lost} in a row."
+            return after, after._unused(frame.image.name, TrackStatus.LOST, words, began)
+        return expecting._believing(told, trust, frame, began)
+
+    def skip(self, name: str, why: str) -> tuple["Tracker", Tracked]:
+        """Passes a frame over that could not be had: what is believed gets less sure.
+
+        Args:
+            name: Of the frame.
+            why: One sentence for a person.
+        """
+        after = self._expecting(self.parameters)
+        return after, after._unused(name, TrackStatus.UNUSABLE, why, time.perf_counter())
+
+    def _expecting(self, parameters: Parameters) -> "Tracker":
+        """A frame later: less sure by the drift, and with a new error of the frame's own."""
+        own = own_error(parameters)
+        kept = (~own).to(self.covariance)
+        drifted = self.drift.square() if self.trust else torch.zeros_like(self.drift)
+        fresh = torch.where(own, parameters.prior_sigma.square(), drifted)
+        state = self.state.clone()
+        frames = parameters.mechanism.slots.of_frames
+        state[frames] = parameters.nominal[frames]
+        return replace(
+            self,
+            parameters=parameters,
+            state=state,
+            covariance=self.covariance * kept[:, None] * kept + torch.diag(fresh),
+        )
+
+    def _placed(self, frame: Frame) -> Parameters:
+        """The parameters of one frame, with the kinematics where it was taken."""
+        mechanism = self.parameters.mechanism
+        if frame.joints is not None:
+            mechanism = replace(mechanism, joints=frame.joints.to(mechanism.joints)[None])
+        if frame.T_world_sensor is not None:
+            T_first = self.parameters.nominal[BASE]
+            T = se3.inverse(T_first) @ frame.T_world_sensor.to(T_first)
+            mechanism = replace(mechanism, Ts_first_frame=T[None])
+        return replace(self.parameters, mechanism=mechanism)
+
+    @property
+    def _bump(self) -> Tensor:
+        """What may have changed at once, as standard deviations: more the longer one is lost."""
+        bump = self.drift.new_tensor([BUMP[unit] for unit in self.parameters.units])
+        return (1.0 + self.lost) * bump
+
+    def _wide(self) -> Parameters:
+        """What a frame is fitted with: the expected state, and a prior that allows for a bump."""
+        sigma = (self.covariance.diagonal() + self._bump.square()).sqrt()
+        return replace(self.parameters, nominal=self.state, prior_sigma=sigma)
+
+    def _is_far(self, state: Tensor) -> bool:
+        """Whether a state is farther from the expected one than a bump explains."""
+        step = self.parameters.difference(state, self.state) / self._wide().prior_sigma
+        return bool((step.abs() > FARTHEST).any())
+
+    def _explained(self, alone: Job, fit: FrameFit) -> tuple[Told, Trust]:
+        """What the frame tells at the state that explains it best, and how far to believe it."""
+        if self.trust is None:
+            found = fit.told(self._sought(alone, fit), 1.0)
+            trust = fit.trust(found.state)
+            return fit.trusting(trust).told(found.state, trust.share), trust
+        told = fit.told(fit.near(self.state), self.trust.share)
+        if told.agreement < SUDDEN * self.agreement:
+            found = fit.told(self._sought(alone, fit), self.trust.share)
+            told = found if found.agreement > told.agreement else told
+        return told, self.trust
+
+    def _sought(self, alone: Job, fit: FrameFit) -> Tensor:
+        """Where a search leads that starts all over the fit's prior."""
+        return choose_start(alone, self.scene, fit.fit.parameters, self.generator).state
+
+    def _believing(
+        self, told: Told, trust: Trust, frame: Frame, began: float
+    ) -> tuple["Tracker", Tracked]:
+        """The tracker after a frame that was explained."""
+        joined = self._joined(told, self.covariance)
+        state, P = self._moved(told, joined), joined.covariance
+        alarm, words = joined.p_value < CHANCE, "The image is as expected."
+        if alarm:
+            anew = self._joined(told, self.covariance + torch.diag(self._bump.square()))
+            state, P = self._moved(told, anew), anew.covariance
+            words = self._what_moved(state)
+        usual = self.agreement + FORGOTTEN * (told.agreement - self.agreement)
+        usual = max(usual, told.agreement)
+        after = replace(self, state=state, covariance=P, trust=trust, agreement=usual, lost=0)
+        return after, Tracked(
+            name=frame.image.name,
+            status=TrackStatus.TRACKING,
+            alarm=alarm,
+            message=words,
+            p_value=joined.p_value,
+            agreement=told.agreement,
+            seconds=time.perf_counter() - began,
+            **after._belief(),
+        )
+
+    def _joined(self, told: Told, covariance: Tensor) -> Innovation:
+        offset = self.parameters.difference(told.state, self.state)
+        score = told.gradient + told.information @ offset
+        return innovation(covariance, told.information, score)
+
+    def _moved(self, told: Told, joined: Innovation) -> Tensor:
+        """The joint state: from where the frame was looked at, which it is near."""
+        offset = self.parameters.difference(told.state, self.state)
+        return self.parameters.retract(told.state, joined.step - offset)
+
+    def _what_moved(self, state: Tensor) -> str:
+        step = self.parameters.difference(state, self.state)
+        place = int((step.abs() / self.covariance.diagonal().sqrt()).argmax())
+        name, unit = self.parameters.names[place], self.parameters.units[place]
+        return (
+            "The image contradicts what was believed, most of all about "
+            f"{parameter_words(name)}: {float(step[place]):+.3g} {unit}."
+        )
+
+    def _belief(self) -> dict[str, Any]:
+        """The part of ``Tracked`` that does not need an image."""
+        J = self.parameters.pose_jacobians(self.state)[0]
+        return {
+            "names": self.parameters.names,
+            "state": self.state,
+            "corrections": self.parameters.difference(self.state, self.parameters.nominal),
+            "covariance": self.covariance,
+            "T_world_sensor": self.parameters.sensor_poses(self.state)[0],
+            "pose_covariance": gaussian.moved_covariance(self.covariance, J),
+        }
+
+    def _unused(self, name: str, status: TrackStatus, message: str, began: float) -> Tracked:
+        return Tracked(
+            name=name,
+            status=status,
+            alarm=status == TrackStatus.LOST and self.lost >= PATIENCE,
+            message=message,
+            p_value=1.0,
+            agreement=0.0,
+            seconds=time.perf_counter() - began,
+            **self._belief(),
+        )

@@ -1,0 +1,83 @@
+"""How much each unknown may change from one frame to the next: a random walk."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.parameters import AXES, Parameters
+from torchcal.errors import TorchcalError, choices
+from torchcal.model.job import PosePrior
+
+SHARE = 0.01
+"""Of the prior's sigma: what an unknown changes in a frame if nobody says otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Wander:
+    """Standard deviations of the changes between two frames."""
+
+    share: float = SHARE
+    """Of each unknown's sigma in the job, for all that ``blocks`` does not name."""
+    blocks: Mapping[str, float | PosePrior] = field(default_factory=dict)
+    """``base``, ``mount``, ``objects.NAME``: a ``PosePrior``; ``joints.NAME`` (rad or m),
+    ``range.offset`` (m), ``range.scale``: a number."""
+
+    def sigmas(self, parameters: Parameters) -> Float[Tensor, " parameter"]:
+        """One for each parameter; 0 for the errors of single frames, which do not last.
+
+        Raises:
+            TorchcalError: If a number is negative or not finite, a block is not unknown or its
+                entry is of the wrong kind.
+        """
+        _check(self.share, "share")
+        known = {_block(name): name for name in parameters.names if not _is_own(name)}
+        named: dict[str, float] = {}
+        for block, entry in self.blocks.items():
+            if block not in known:
+                raise TorchcalError(f"drift: found {block!r}; expected {choices(known)}")
+            named |= dict(_entries(block, entry, is_pose=known[block] != block))
+        return torch.tensor(
+            [
+                0.0 if _is_own(name) else named.get(name, self.share * prior)
+                for name, prior in zip(
+                    parameters.names, parameters.prior_sigma.tolist(), strict=True
+                )
+            ]
+        ).to(parameters.prior_sigma)
+
+
+def own_error(parameters: Parameters) -> Tensor:
+    """Which parameters are the error of a single frame."""
+    own = [_is_own(name) for name in parameters.names]
+    return torch.tensor(own, device=parameters.prior_sigma.device)
+
+
+def _is_own(name: str) -> bool:
+    return name.startswith("frames.")
+
+
+def _block(name: str) -> str:
+    owner, _, axis = name.rpartition(".")
+    return owner if axis in AXES and owner not in ("joints", "objects") else name
+
+
+def _entries(block: str, entry: float | PosePrior, *, is_pose: bool) -> Iterator[tuple[str, float]]:
+    """Names and sigmas of one block."""
+    if is_pose != isinstance(entry, PosePrior):
+        expected = "a PosePrior" if is_pose else "a number"
+        raise TorchcalError(f"drift: found {entry!r} for {block}; expected {expected}")
+    if not isinstance(entry, PosePrior):
+        yield block, _check(float(entry), block)
+        return
+    for axis, sigma in zip(AXES, entry.sigma.tolist(), strict=True):
+        yield f"{block}.{axis}", _check(sigma, block)
+
+
+def _check(sigma: float, what: str) -> float:
+    if not math.isfinite(sigma) or sigma < 0.0:
+        raise TorchcalError(f"drift: found {sigma} for {what}; expected 0 or more")
+    return sigma
