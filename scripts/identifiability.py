@@ -5,7 +5,6 @@ figures hold for the declared noise and a model that is right; where the job lea
 varying part of the noise to be found, there is none here, and they are the best that can happen.
 """
 
-import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +13,8 @@ import torch
 import tyro
 
 import torchcal
+from torchcal.cli.result_files import as_json, without_nan
+from torchcal.display.summary import next_view_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +37,7 @@ def main() -> None:
     except torchcal.TorchcalError as error:
         sys.exit(str(error))
     if options.json:
-        print(json.dumps(as_data(found), indent=1))
+        print(as_json(without_nan(as_data(found))))
         return
     print(f"{'unknown':<28} {'before':>12} {'after':>12}")
     for each in found.parameters:
@@ -46,10 +47,7 @@ def main() -> None:
     for direction in found.unobservable:
         print(direction.words)
     if found.next_view is not None:
-        joints = ", ".join(
-            f"{name} = {value:.3f}" for name, value in found.next_view.joints.items()
-        )
-        print(f"one more image would tell most from: joints = {{ {joints} }}")
+        print(f"one more image would tell most from: {next_view_words(found.next_view)}")
 
 
 def as_data(found: torchcal.Foresight) -> dict:

@@ -1,6 +1,7 @@
 """The pictures: which source every pixel shows, and figures that can be drawn of anything."""
 
 import dataclasses
+import tomllib
 
 import numpy as np
 import pytest
@@ -8,9 +9,9 @@ import torch
 from display_scene import HEIGHT, REGIONS, WIDTH, calibration, comparison, estimate
 from matplotlib.colors import to_rgb
 
-from torchcal.calibrate.result import PixelClass
+from torchcal.calibrate.result import NextView, PixelClass
 from torchcal.display import canvas, colours, figures, hybrid
-from torchcal.display.summary import axis_sigmas, corrections, settings
+from torchcal.display.summary import axis_sigmas, corrections, next_view_words, settings
 
 MODEL_BYTE = round(255 * 0.7 * (0.35 + 0.65 * 0.8))
 """Red of the scene's model (0.7) where its normal is turned 0.8 to the lamp."""
@@ -131,3 +132,17 @@ def test_settings_name_sensor_and_prior_with_units():
     assert words["Sensor"] == "pinhole, depth along z, 64 × 48 pixels"
     assert words["Prior of the base"] == "100, 100, 0 mm, 2.865°"
     assert words["Prior of the mount"] == "known exactly"
+
+
+def test_a_hand_held_pose_is_shown_where_only_single_frames_were_unknown():
+    found = calibration()
+    prior = found.job.base
+    of_frames = dataclasses.replace(found.job, base=None, frame_poses=prior)
+    (shown,) = corrections(dataclasses.replace(found, job=of_frames))
+    assert shown == corrections(found)[0]
+
+
+def test_the_next_view_is_toml_whatever_its_joints_are_called():
+    joints = {"nod": 0.5, "arm/joint.1 a": -1.0, 'say "x"': 0.25}
+    words = next_view_words(NextView(joints=joints, gain=1.0, sigma={}))
+    assert tomllib.loads(words) == {"joints": joints}

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import recordings
+import scenes
 import torch
 from recordings import pose, prior
 
@@ -105,3 +106,11 @@ def test_what_the_base_and_the_first_joint_share_is_named(job, rng):
         "a turn of the base about z and the offset of joint turn cannot be told apart in these "
         "images"
     ]
+
+
+def test_no_view_is_named_where_none_tells_anything(job, rng):
+    """Of a crate behind the wall no image says anything."""
+    far = scenes.box((1.0, 1.0, 1.0), (0.0, 0.0, 50.0), (0.0, 0.0, 0.0))
+    world = recordings.world_of({**recordings.room(), "far": far})
+    hidden = replace(job, world=world, base=None, joints={}, objects={"far": prior()})
+    assert foresee(hidden, generator=rng).next_view is None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import recordings
+import scenes
 import torch
 from recordings import CAMERA, EYE, LIDAR, pose, twist
 from torch import Tensor
@@ -184,3 +185,20 @@ def observed(width: int, height: int, beam: int):
             frames=(recordings.frame_of(ranges, T_world_sensor=EYE),),
         )
     )
+
+
+def test_what_is_out_of_view_does_not_hide_that_neighbouring_errors_are_alike(rng):
+    """The same images and an object far behind the wall: no surer of the pose than without it."""
+    job = recordings.hand_held(recordings.sensor(), [EYE], error=NEARBY)
+    bumps = 0.01 * torch.randn(1, 1, 6, 8, generator=rng, dtype=torch.float64)
+    bumps = torch.nn.functional.interpolate(bumps, size=(48, 64), mode="bicubic")[0, 0]
+    frame = job.frames[0]
+    uneven = replace(frame.image, range=frame.image.range + bumps)
+    far = scenes.box((1.0, 1.0, 1.0), (0.0, 0.0, 50.0), (0.0, 0.0, 0.0))
+    world = recordings.world_of({**recordings.room(), "far": far})
+    job = replace(job, world=world, frames=(replace(frame, image=uneven),))
+    found, _ = refined(job)
+    more, parameters = refined(replace(job, objects={"far": recordings.prior()}))
+    own = [parameters.names.index(name) for name in found.fit.parameters.names]
+    P = estimated_covariance(more)[own][:, own]
+    torch.testing.assert_close(P, estimated_covariance(found), rtol=1e-3, atol=0.0)

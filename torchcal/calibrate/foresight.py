@@ -25,6 +25,8 @@ SIDE = 60
 """Pixels along the shorter side of foreseen images."""
 VIEWS = 48
 """Configurations of the joints that are looked at for the next view."""
+LEAST_GAIN = 0.01
+"""Nats: a view that adds less is no better than any other."""
 
 
 def foreseen_covariance(
@@ -67,7 +69,7 @@ def next_view(
     """The joint configuration, of some within the limits, whose image would tell most.
 
     That is the largest gain of information, half the logarithm of det(1 + P A^T W A). None where
-    no robot moves the sensor or is seen by it, or nothing is unknown.
+    no robot moves the sensor or is seen by it, nothing is unknown, or no image would tell more.
 
     Args:
         job: Its robot, sensor and unknowns.
@@ -88,6 +90,8 @@ def next_view(
     informations = list(foreseen(ahead, scene, parameters, state))
     gains = torch.stack([_gain(P, information) for information in informations])
     best = int(gains.argmax())
+    if not gains[best] > LEAST_GAIN:
+        return None
     after = torch.linalg.inv(torch.linalg.inv(P) + informations[best])
     return NextView(
         joints=dict(zip(job.robot.joint_names, values[best].tolist(), strict=True)),

@@ -206,22 +206,25 @@ def _curvature(refined: Refined) -> float:
 
     Noise in the derivatives, from a model that was itself measured or from fine texture, adds to
     the information and not to the curvature of the cost. Steps of ``PROBE`` standard deviations to
-    both sides, each across all directions at once, show it.
+    both sides, each across all that the images tell at once, show it.
     """
     parameters = refined.fit.parameters
     information = refined.solution.equations.information[0]
     value, vector = torch.linalg.eigh(information)
-    signs = torch.ones(2, len(value), dtype=value.dtype, device=value.device)
-    signs[1, ::2] = -1.0
     root = vector * value.clamp(min=1e-12).rsqrt()
-    steps = PROBE / len(value) ** 0.5 * signs @ root.mT
+    # Where the prior tells more than the images, its own curvature would hide theirs.
+    prior = parameters.prior_sigma.double().square().reciprocal()
+    root = root[:, (root.square() * prior[:, None]).sum(0) < 0.5]
+    signs = torch.ones(2, root.shape[1], dtype=value.dtype, device=value.device)
+    signs[1, ::2] = -1.0
+    steps = PROBE / max(root.shape[1], 1) ** 0.5 * signs @ root.mT
     states = refined.state.expand(4, *refined.state.shape)
     states = parameters.retract(states, torch.cat([steps, -steps]))
     gradient = refined.fit.evaluate(states).gradient
     fell = 0.5 * ((gradient[2:] - gradient[:2]) * steps).sum()
     expected = ((steps @ information) * steps).sum()
     expected = expected * robust.relative_curvature(information.new_tensor(refined.fit.cutoff))
-    return float((fell / expected).clamp(LEAST_CURVATURE, 1.0))
+    return float((fell / expected).nan_to_num(1.0).clamp(LEAST_CURVATURE, 1.0))
 
 
 def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter"]:
@@ -237,6 +240,7 @@ def reliable_share(refined: Refined) -> float:
 
     The gradients of blocks of pixels scatter as the information says if the noise model is right.
     Their excess is what neighbouring errors share beyond it: the information is divided by it.
+    What the images say nothing about, such as an object out of view, has no part in it.
     """
     fit = refined.fit
     scatter = torch.zeros_like(refined.solution.equations.information[0])
@@ -247,5 +251,16 @@ def reliable_share(refined: Refined) -> float:
         scatter = scatter + embedded(own, frame.active, len(scatter))
     prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
     information = refined.solution.equations.information[0] - prior
-    excess = (covariance(information) @ scatter).diagonal().mean().nan_to_num(1.0)
+    told = _told_directions(information, fit.parameters.prior_sigma)
+    excess = (told.mT @ scatter @ told).diagonal().mean().nan_to_num(1.0)
     return float(_curvature(refined) ** 2 / excess.clamp(min=1.0))
+
+
+def _told_directions(
+    information: Float[Tensor, "parameter parameter"], prior_sigma: Float[Tensor, " parameter"]
+) -> Float[Tensor, "parameter direction"]:
+    """Directions of which the images say more than the prior: by the images, 1 sigma long each."""
+    scale = prior_sigma.to(information)[:, None]
+    value, vector = torch.linalg.eigh(scale * information * scale.mT)
+    told = value > 1.0
+    return scale * vector[:, told] * value[told].rsqrt()

@@ -1,6 +1,8 @@
 """The answer as rows that a person reads: corrections, how sure they are, settings of the job."""
 
+import json
 import math
+import re
 from dataclasses import dataclass
 
 import torch
@@ -67,10 +69,10 @@ def corrections(calibration: Calibration) -> tuple[Correction, ...]:
     """What was corrected, in the order in which the job lists its unknowns."""
     job, estimate = calibration.job, calibration.estimate
     found = []
-    if job.base is not None:
+    if (prior := _base_prior(job)) is not None:
         title, nominal, estimated = _base_poses(calibration)
         sigmas = _base_sigmas(calibration)
-        found.append(_correction(title, nominal, estimated, sigmas, job.base))
+        found.append(_correction(title, nominal, estimated, sigmas, prior))
     if job.joints:
         found.append(_joint_correction(calibration))
     if job.mount is not None:
@@ -125,6 +127,12 @@ def _number(
     return AxisCorrection(
         axis=axis, unit=shown, change=scale * value, sigma=scale * sigma, prior=scale * prior
     )
+
+
+def _base_prior(job: Job) -> PosePrior | None:
+    """Of the base; of a hand-held sensor's first pose its own error and that of all frames."""
+    priors = [each.sigma for each in (job.base, job.frame_poses) if each is not None]
+    return PosePrior(sigma=torch.stack(priors).norm(dim=0)) if priors else None
 
 
 def _base_poses(calibration: Calibration) -> tuple[str, Tensor, Tensor]:
@@ -188,8 +196,14 @@ def next_view_words(view: NextView | None) -> str:
     """Where to look next, as a job file has it (rad, m); empty where nobody knows."""
     if view is None:
         return ""
-    joints = ", ".join(f"{name} = {value:.3f}" for name, value in view.joints.items())
+    joints = ", ".join(f"{_key(name)} = {value:.3f}" for name, value in view.joints.items())
     return f"joints = {{ {joints} }}"
+
+
+def _key(name: str) -> str:
+    """A name as a key of TOML: in quotes where it has to be."""
+    bare = re.fullmatch(r"[A-Za-z0-9_-]+", name)
+    return name if bare else json.dumps(name, ensure_ascii=False)
 
 
 def settings(job: Job) -> dict[str, str]:
