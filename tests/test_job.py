@@ -57,6 +57,8 @@ scale_sigma = 0.003
 """
     job = read_job(tiny_job.write(tmp_path, tiny_job.ARM_JOB + blocks))
     degree = math.radians(1.0)
+    assert job.robot is not None
+    assert job.range is not None
     assert job.joints == {
         name: 0.02 if kind == "prismatic" else degree
         for name, kind in zip(job.robot.joint_names, job.robot.joint_kinds, strict=True)
@@ -71,6 +73,7 @@ def test_frames_of_their_own_are_read(tmp_path):
     text = tiny_job.TRIPOD_JOB + "[unknown.frames]\nposition_sigma = 0.1\nrotation_sigma_deg = 0\n"
     job = read_job(tiny_job.write(tmp_path, text))
     expected = torch.tensor([0.1, 0.1, 0.1, 0.0, 0.0, 0.0], dtype=torch.float64)
+    assert job.frame_poses is not None
     assert_close(job.frame_poses.sigma, expected)
 
 

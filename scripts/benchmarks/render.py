@@ -199,7 +199,7 @@ def _cell(count: int) -> trimesh.Trimesh:
             [part.bounding_box_oriented.to_mesh() for part in _hall_objects()]
         )
         return boxes
-    hall = _hall()
+    hall: Any = _hall()
     edge = hall.scale / 10.0
     while len(hall.faces) < count:
         hall = hall.subdivide_to_size(edge)
