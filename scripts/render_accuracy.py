@@ -23,7 +23,7 @@ import torchcal
 from torchcal.demo import raycast
 from torchcal.demo.machine_hall import machine_hall, random_view
 from torchcal.geometry import se3
-from torchcal.model.sensor import PRESETS
+from torchcal.model.read_sensor import preset_sensor
 
 VIEW = math.radians(50.0)
 JUMP = 0.03
@@ -138,15 +138,8 @@ def sensor_of(optics: Optics, size: int) -> torchcal.Sensor:
             width=size, height=size, fx=focal, fy=focal, cx=middle, cy=middle
         )
     elif optics != "spherical":
-        keys = PRESETS[optics]
-        beam = keys["beam"]
-        az, el = (tuple(map(math.radians, keys[k])) for k in ("azimuth_deg", "elevation_deg"))
-        projection = torchcal.Spherical(
-            width=keys["columns"],
-            height=keys["rows"],
-            azimuth=(az[0], az[1]),
-            elevation=(el[0], el[1]),
-        )
+        sensor = preset_sensor(optics)
+        return replace(sensor, noise=noise, near=0.0, far=100.0)
     return torchcal.Sensor(projection=projection, noise=noise, near=0.0, far=100.0, beam=beam)
 
 

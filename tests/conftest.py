@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+import kinematic_jobs
 import pytest
 import torch
+
+from torchcal.model.job import Job
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -28,3 +31,15 @@ def device(request: pytest.FixtureRequest) -> torch.device:
     if request.param == "cuda" and not torch.cuda.is_available():
         pytest.skip("needs a CUDA device")
     return torch.device(request.param)
+
+
+@pytest.fixture
+def robot_job(tmp_path: Path) -> Job:
+    """A carried sensor in a room; two frames, images of one value."""
+    return kinematic_jobs.robot_job(tmp_path)
+
+
+@pytest.fixture
+def hand_job() -> Job:
+    """No robot, two frames."""
+    return kinematic_jobs.hand_job()

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import kinematic_jobs
 import pytest
 import recordings
 import torch
@@ -15,21 +14,11 @@ from recordings import pose, prior
 
 from torchcal.calibrate.parameters import AXES
 from torchcal.geometry import se3
-from torchcal.model.job import Job, PosePrior
+from torchcal.model.job import PosePrior
 from torchcal.model.robot import load_robot
 
 EXACT = 1e-12
 """Products of a few 4x4 matrices of size 1 in double precision."""
-
-
-@pytest.fixture
-def robot_job(tmp_path) -> Job:
-    return kinematic_jobs.robot_job(tmp_path)
-
-
-@pytest.fixture
-def hand_job() -> Job:
-    return kinematic_jobs.hand_job()
 
 
 def test_derivatives_of_a_carried_sensor(robot_job):

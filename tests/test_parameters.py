@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import kinematic_jobs
-import pytest
 import recordings
 import torch
 from kinematic_jobs import (
@@ -17,20 +15,10 @@ from recordings import EYE, pose
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.geometry import se3
-from torchcal.model.job import Job, PosePrior
+from torchcal.model.job import PosePrior
 
 EXACT = 1e-12
 """Products of a few 4x4 matrices of size 1 in double precision."""
-
-
-@pytest.fixture
-def robot_job(tmp_path) -> Job:
-    return kinematic_jobs.robot_job(tmp_path)
-
-
-@pytest.fixture
-def hand_job() -> Job:
-    return kinematic_jobs.hand_job()
 
 
 def test_a_batch_of_states_is_a_loop_over_states(robot_job):

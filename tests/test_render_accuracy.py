@@ -17,8 +17,8 @@ from torchcal.demo import raycast
 from torchcal.demo.machine_hall import machine_hall, random_view
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole, Projection, Spherical, pixel_grid
+from torchcal.model.read_sensor import preset_sensor
 from torchcal.model.scene import Surface, body_poses, build_scene
-from torchcal.model.sensor import PRESETS
 from torchcal.render.synthesis import synthesise
 
 PROJECTIONS = pytest.mark.parametrize("projection", [CAMERA, LIDAR], ids=["pinhole", "spherical"])
@@ -27,17 +27,6 @@ SIDE, BEAM = 512, 21
 HALF = math.radians(25.0)
 PAPERS = Pinhole(width=SIDE, height=SIDE, fx=549.0, fy=549.0, cx=(SIDE - 1) / 2, cy=(SIDE - 1) / 2)
 TURNING = Spherical(width=SIDE, height=SIDE, azimuth=(-HALF, HALF), elevation=(HALF, -HALF))
-
-
-def preset(name: str) -> Spherical:
-    keys = PRESETS[name]
-    az, el = (np.radians(keys[key]).tolist() for key in ("azimuth_deg", "elevation_deg"))
-    return Spherical(
-        width=keys["columns"],
-        height=keys["rows"],
-        azimuth=(az[0], az[1]),
-        elevation=(el[0], el[1]),
-    )
 
 
 def window_with_silhouette(ranges: Float[ndarray, "h w"], beam: int) -> ndarray:
@@ -245,11 +234,12 @@ def test_poses_that_require_gradients_get_them_through_the_blur():
 )
 def test_the_presets_see_the_area_that_many_rays_see(name: str, near: float, first: int, side: int):
     """Their beam is a pixel's own area; that of 1.5 degrees has sides that are curved."""
-    projection = preset(name).cropped(first, first, side, side)
+    preset = preset_sensor(name)
+    projection = preset.projection.cropped(first, first, side, side)
     crate = box((0.05 * near, 0.04 * near, 0.05 * near), (0.0, 0.0, near), (0.2, 0.3, 0.1))
     bodies = (crate, wall(1.2 * near))
     surface = surface_of(*bodies)
-    sensor = replace(sensor_of(projection, PRESETS[name]["beam"]), far=PRESETS[name]["range"][1])
+    sensor = replace(preset, projection=projection, near=0.0)
     ranges = synthesise(surface, at_rest(surface), sensor).range.numpy()
     expected, _ = raycast.sampled_means(oracle_of(*bodies), projection, raycast.FINE_LATTICE)
     window = window_with_silhouette(raycast.predict(oracle_of(*bodies), projection, 0), 1)

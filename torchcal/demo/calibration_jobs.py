@@ -12,11 +12,11 @@ from torchcal.demo.recording import JOINTS, LINK, POSTURES, SENSOR, nominal_T_wo
 from torchcal.demo.robots import robot_folder
 from torchcal.errors import TorchcalError, choices
 from torchcal.geometry import se3
-from torchcal.geometry.projection import Spherical
 from torchcal.model.job import Frame, Job, PosePrior
 from torchcal.model.range_image import RangeImage
+from torchcal.model.read_sensor import preset_sensor
 from torchcal.model.robot import Robot, load_robot
-from torchcal.model.sensor import PRESETS, Drift, Noise, Sensor
+from torchcal.model.sensor import Drift, Noise, Sensor
 from torchcal.model.world import World, WorldObject
 
 OFFSET_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow")
@@ -99,28 +99,10 @@ def rover_job(preset: str) -> Job:
         values["mast_pan"] = 2.0 * math.pi * k / MAST_POSITIONS
         values["mast_tilt"] = (0.1, 0.35, 0.6, -0.2)[k % 4]
         postures.append(torch.tensor(list(values.values()), dtype=torch.float64))
-    job = _job(robot, "lidar", preset_sensor(preset), T_world_base, postures)
+    sensor = preset_sensor(preset)
+    sensor = replace(sensor, noise=replace(sensor.noise, drift=NO_DRIFT))
+    job = _job(robot, "lidar", sensor, T_world_base, postures)
     return replace(job, base=prior(0.05, 2.0))
-
-
-def preset_sensor(name: str) -> Sensor:
-    """One of the paper's sensors (2.2), its pixels independent."""
-    keys = PRESETS[name]
-    azimuth, elevation = (
-        tuple(math.radians(end) for end in keys[key]) for key in ("azimuth_deg", "elevation_deg")
-    )
-    return Sensor(
-        projection=Spherical(
-            width=keys["columns"],
-            height=keys["rows"],
-            azimuth=(azimuth[0], azimuth[1]),
-            elevation=(elevation[0], elevation[1]),
-        ),
-        noise=Noise(a=keys["sigma"], drift=NO_DRIFT),
-        near=keys["range"][0],
-        far=keys["range"][1],
-        beam=keys["beam"],
-    )
 
 
 def _before_housing() -> Tensor:

@@ -24,6 +24,16 @@ def with_preset(table: Mapping[str, Any]) -> dict[str, Any]:
     return {**preset, **table}
 
 
+def preset_sensor(name: str) -> Sensor:
+    """One of the paper's sensors (2.2), as a job that names nothing else has it.
+
+    Raises:
+        KeyError: If ``PRESETS`` has no such sensor.
+    """
+    table = {"preset": name, **PRESETS[name]}
+    return read_sensor(Path(name), SensorTable.model_validate(table))
+
+
 def read_sensor(file: Path, table: SensorTable) -> Sensor:
     """The sensor that a checked table describes.
 
