@@ -76,7 +76,8 @@ def measure(*, rounds: int = 5, out: Path = REPORT) -> None:
         for side, poses in VIEWS:
             lines.append(_line(_compared(setting, side, poses, rounds)))
             print(lines[-1], flush=True)
-    write_section(out, "render", "\n".join([ABOUT.format(rounds=rounds), *lines]))
+            # It takes long: what was measured stays when somebody stops it.
+            write_section(out, "render", "\n".join([ABOUT.format(rounds=rounds), *lines]))
 
 
 def _settings() -> Iterator[Setting]:
