@@ -10,6 +10,7 @@ from torchcal.calibrate.result import (
     Alternative,
     Calibration,
     Estimate,
+    Evidence,
     FrameComparison,
     NextView,
     ObjectVerdict,
@@ -163,7 +164,14 @@ def calibration(
                 "wall": ObjectVerdict(verdict="agrees", agree=900, seen_through=0, hidden=20),
                 "crate": ObjectVerdict(verdict="removed", agree=0, seen_through=256, hidden=0),
             },
-            added=(AddedObject(name="added-1", frames=names[:1], mesh=added),),
+            added=(
+                AddedObject(
+                    name="added-1",
+                    frames=names[:1],
+                    mesh=added,
+                    evidence=Evidence(supporting=120, contradicting=0, hidden=0),
+                ),
+            ),
         ),
         next_view=NextView(joints={"elbow": 0.25}, gain=1.5, sigma={"base.x": 0.001}),
         timing={"read": 0.5, "estimate": 12.25},

@@ -18,6 +18,14 @@ from wall_comparison import (
     white,
 )
 
+from torchcal.calibrate.result import (
+    AddedObject,
+    Change,
+    Evidence,
+    ObjectVerdict,
+    Proposal,
+    Update,
+)
 from torchcal.calibrate.update import propose_update
 from torchcal.model.job import Frame, Job
 from torchcal.model.range_image import RangeImage
@@ -249,4 +257,31 @@ def test_alpha_of_the_job_widens_what_counts_as_agreement():
     assert (
         propose_update(strict, [frame], BODIES, EYE[None], correlation_pixels=0.0, moved={}).added
         == ()
+    )
+
+
+def test_proposals_are_the_changes_with_their_evidence():
+    verdicts = {
+        name: ObjectVerdict(verdict=verdict, agree=5, seen_through=90, hidden=3)
+        for name, verdict in (
+            ("wall", "agrees"),
+            ("crate", "removed"),
+            ("drum", "moved"),
+            ("far", "unseen"),
+        )
+    }
+    evidence = Evidence(supporting=70, contradicting=1, hidden=2)
+    new = AddedObject(name="added_1", frames=("a",), mesh=trimesh.Trimesh(), evidence=evidence)
+    assert Update(verdicts=verdicts, added=(new,)).proposals == (
+        Proposal(
+            name="crate",
+            change=Change.REMOVE,
+            evidence=Evidence(supporting=90, contradicting=5, hidden=3),
+        ),
+        Proposal(
+            name="drum",
+            change=Change.MOVE,
+            evidence=Evidence(supporting=5, contradicting=90, hidden=3),
+        ),
+        Proposal(name="added_1", change=Change.ADD, evidence=evidence),
     )

@@ -31,12 +31,15 @@ from torchcal.calibrate.localise import localise_pixels as localise_pixels
 from torchcal.calibrate.parameters import Parameters as Parameters
 from torchcal.calibrate.pipeline import build_job_scene as build_job_scene
 from torchcal.calibrate.result import Calibration as Calibration
+from torchcal.calibrate.result import Change as Change
 from torchcal.calibrate.result import Estimate as Estimate
+from torchcal.calibrate.result import Evidence as Evidence
 from torchcal.calibrate.result import Foresight as Foresight
 from torchcal.calibrate.result import FrameComparison as FrameComparison
 from torchcal.calibrate.result import JobCheck as JobCheck
 from torchcal.calibrate.result import NextView as NextView
 from torchcal.calibrate.result import PixelClass as PixelClass
+from torchcal.calibrate.result import Proposal as Proposal
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update
 from torchcal.calibrate.site import Site as Site

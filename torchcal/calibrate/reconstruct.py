@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchcal.calibrate.regions import box_mean
-from torchcal.calibrate.result import AddedObject
+from torchcal.calibrate.result import AddedObject, Evidence
 from torchcal.geometry.projection import Projection, pixel_grid
 
 MOST_FACES = 2000
@@ -294,4 +294,5 @@ def _object(name: str, group: Sequence[Patch]) -> AddedObject:
     )
     pixels = sum(patch.mesh.metadata["pixels"] for patch in group)
     mesh.metadata.update(source="range image", frames=list(frames), pixels=pixels)
-    return AddedObject(name=name, frames=frames, mesh=mesh)
+    evidence = Evidence(supporting=pixels, contradicting=0, hidden=0)
+    return AddedObject(name=name, frames=frames, mesh=mesh, evidence=evidence)

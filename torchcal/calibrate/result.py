@@ -128,6 +128,18 @@ class ObjectVerdict:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Evidence:
+    """What the pixels of all frames say of one proposed change."""
+
+    supporting: int
+    """Pixels that show the change."""
+    contradicting: int
+    """Pixels that show the model as it was, or that see through what is proposed."""
+    hidden: int
+    """Pixels in which something nearer stands before it: they say nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class AddedObject:
     """Something that was measured and is not in the model."""
 
@@ -135,6 +147,24 @@ class AddedObject:
     frames: tuple[str, ...]
     mesh: trimesh.Trimesh
     """World frame, metres."""
+    evidence: Evidence
+
+
+class Change(StrEnum):
+    """What a proposal does to the model."""
+
+    REMOVE = "remove"
+    MOVE = "move"
+    ADD = "add"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Proposal:
+    """One change of the model that a person may accept or reject (2.5)."""
+
+    name: str
+    change: Change
+    evidence: Evidence
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -143,6 +173,30 @@ class Update:
 
     verdicts: dict[str, ObjectVerdict]
     added: tuple[AddedObject, ...]
+
+    @property
+    def proposals(self) -> tuple[Proposal, ...]:
+        """Every change of the model: objects removed and moved, then those added."""
+        changed = [
+            Proposal(name=name, change=change, evidence=evidence)
+            for name, verdict in self.verdicts.items()
+            for change, evidence in _changes(verdict)
+        ]
+        added = [
+            Proposal(name=item.name, change=Change.ADD, evidence=item.evidence)
+            for item in self.added
+        ]
+        return (*changed, *added)
+
+
+def _changes(verdict: ObjectVerdict) -> list[tuple[Change, Evidence]]:
+    """The change, at most one, that a verdict asks for."""
+    through, agree, hidden = verdict.seen_through, verdict.agree, verdict.hidden
+    if verdict.verdict == "removed":
+        return [(Change.REMOVE, Evidence(supporting=through, contradicting=agree, hidden=hidden))]
+    if verdict.verdict == "moved":
+        return [(Change.MOVE, Evidence(supporting=agree, contradicting=through, hidden=hidden))]
+    return []
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
