@@ -9,13 +9,12 @@ import torch
 from recordings import CAMERA, EYE, LIDAR, pose, twist
 from torch import Tensor
 
-from torchcal.calibrate.observation import observe
+from torchcal.calibrate.observation import coarse_factor, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.refine import (
     FINE_PIXELS,
     Refined,
-    coarse_factor,
     coarse_fit,
     estimated_covariance,
     fine_factor,
@@ -159,7 +158,7 @@ def test_coarse_fit_brings_all_candidates_near():
     ("width", "height", "expected"), [(64, 48, 1), (320, 240, 4), (1920, 1080, 8), (640, 50, 1)]
 )
 def test_coarsest_image_has_some_sixty_rows(width, height, expected):
-    assert coarse_factor(observed(width, height, beam=1)) == expected
+    assert coarse_factor(observed(width, height, beam=1).sensor) == expected
 
 
 def test_wide_beams_are_never_averaged():

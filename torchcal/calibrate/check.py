@@ -4,20 +4,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.foresight import foreseen_covariance, next_view
+from torchcal.calibrate.foresight import expected_covariance, foreseen_covariance, next_view
 from torchcal.calibrate.observability import unobservable_directions
-from torchcal.calibrate.observation import coarser, observe
+from torchcal.calibrate.observation import coarse_factor, coarser, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene, predict
-from torchcal.calibrate.range_fit import RangeFit
-from torchcal.calibrate.refine import coarse_factor
 from torchcal.calibrate.result import Foresight, FrameCheck, JobCheck, ParameterCheck
 from torchcal.model.job import Frame, Job
-from torchcal.model.scene import Scene
-from torchcal.solve.gauss_newton import covariance
 
-UNLIMITED = 1e9
-"""A cut-off that no residual reaches: at a wrong pose all pixels must count."""
 FEW = 0.05
 """A smaller share of measured pixels, or of the model in them, is worth a warning."""
 UNITS = 3.0
@@ -33,7 +27,8 @@ def check(job: Job) -> JobCheck:
         _check_frame(frame, prediction)
         for frame, prediction in zip(job.frames, predictions, strict=True)
     )
-    P = _expected_covariance(job, scene, parameters)
+    images = coarser(observe(job), coarse_factor(job.sensor))
+    P = expected_covariance(images, scene, parameters, parameters.nominal)
     return JobCheck(
         frames=frames,
         parameters=_parameter_checks(parameters, P),
@@ -73,23 +68,6 @@ def _parameter_checks(
             strict=True,
         )
     )
-
-
-def _expected_covariance(
-    job: Job, scene: Scene, parameters: Parameters
-) -> Float[Tensor, "parameter parameter"]:
-    """P of eq. 3 if the nominal pose were right and all measured pixels showed the model."""
-    if not parameters.names:
-        return parameters.prior_sigma.new_zeros(0, 0)
-    observation = observe(job)
-    fit = RangeFit(
-        observation=coarser(observation, coarse_factor(observation)),
-        surface=scene.surface,
-        parameters=parameters,
-        cutoff=UNLIMITED,
-        drift=None,
-    )
-    return covariance(fit.evaluate(parameters.nominal[None]).information[0])
 
 
 def _check_frame(frame: Frame, prediction: Float[Tensor, "h w"]) -> FrameCheck:

@@ -10,11 +10,17 @@ from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
-from torchcal.calibrate.observation import Observation, coarser, cropped, observe, sharpened
+from torchcal.calibrate.observation import (
+    Observation,
+    coarse_factor,
+    coarser,
+    cropped,
+    observe,
+    sharpened,
+)
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
     Refined,
-    coarse_factor,
     coarse_fit,
     estimated_covariance,
     fine_factor,
@@ -78,7 +84,7 @@ def choose_found(
 
 def _coarse(job: Job) -> Observation:
     observation = cropped(observe(job))
-    return sharpened(coarser(observation, coarse_factor(observation)))
+    return sharpened(coarser(observation, coarse_factor(observation.sensor)))
 
 
 def _best(coarse: Observation, scene: Scene, parameters: Parameters, candidates: Tensor) -> Choice:
@@ -100,7 +106,7 @@ def fit_pixels(
 ) -> Refined:
     """The fit that shows which pixels differ: at half of the final resolution."""
     observation = cropped(observe(job))
-    factor = min(2 * fine_factor(observation), coarse_factor(observation))
+    factor = min(2 * fine_factor(observation), coarse_factor(observation.sensor))
     return fine_fit(observation, scene.surface, parameters, state, factor=factor)
 
 

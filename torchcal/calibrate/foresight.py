@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.observation import Observation, coarser_sensor
+from torchcal.calibrate.observation import Observation, coarse_factor, coarser_sensor
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import predictions
 from torchcal.calibrate.range_fit import FILLED, RangeFit, embedded
@@ -21,10 +21,10 @@ from torchcal.model.sensor import Drift, Sensor
 from torchcal.solve.gauss_newton import covariance
 from torchcal.solve.image_equations import normal_equations
 
-SIDE = 60
-"""Pixels along the shorter side of foreseen images."""
 VIEWS = 48
 """Configurations of the joints that are looked at for the next view."""
+UNLIMITED = 1e9
+"""A cut-off that no residual reaches: at a wrong pose all pixels must count."""
 LEAST_GAIN = 0.01
 """Nats: a view that adds less is no better than any other."""
 
@@ -41,6 +41,25 @@ def foreseen_covariance(
     for information in foreseen(job, scene, parameters, state):
         told = told + information
     return covariance(told)
+
+
+def expected_covariance(
+    observation: Observation,
+    scene: Scene,
+    parameters: Parameters,
+    state: Float[Tensor, "slot 4 4"],
+) -> Float[Tensor, "parameter parameter"]:
+    """P of eq. 3 if a state were right and all measured pixels showed the model."""
+    if not parameters.names:
+        return parameters.prior_sigma.new_zeros(0, 0)
+    fit = RangeFit(
+        observation=observation,
+        surface=scene.surface,
+        parameters=parameters,
+        cutoff=UNLIMITED,
+        drift=None,
+    )
+    return covariance(fit.evaluate(state[None]).information[0])
 
 
 def foreseen(
@@ -102,7 +121,7 @@ def next_view(
 
 def _images(job: Job, scene: Scene, parameters: Parameters, state: Tensor) -> Observation:
     """Coarse images of all frames as the model predicts them, without noise."""
-    factor = _factor(job.sensor)
+    factor = coarse_factor(job.sensor)
     sensor = coarser_sensor(job.sensor, factor)
     ranges, measured = [], []
     for image in predictions(scene.surface, sensor, parameters, state, dtype=torch.float32):
@@ -123,13 +142,7 @@ def _drift(sensor: Sensor) -> Drift | None:
     known = sensor.noise.drift
     if known is None or known.sigma == 0.0:
         return None
-    return replace(known, pixels=known.pixels / _factor(sensor))
-
-
-def _factor(sensor: Sensor) -> int:
-    """Side of the blocks of pixels that one of a foreseen image stands for."""
-    projection = sensor.projection
-    return max(1, min(8, min(projection.width, projection.height) // SIDE))
+    return replace(known, pixels=known.pixels / coarse_factor(sensor))
 
 
 def _configurations(limits: Tensor, generator: torch.Generator) -> Float[Tensor, "view joint"]:

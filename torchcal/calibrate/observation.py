@@ -14,6 +14,10 @@ from torchcal.render.sharing import JUMP
 MASK_MARGIN = 5
 """Pixels inside a mask's border that are left out: a sharp sensor's ranges and the mask itself are
 wrong there in the same way all along the border."""
+COARSE_SIDE = 60
+"""A coarse image has about so many pixels along its shorter side."""
+COARSEST = 8
+"""Most pixels along the side of a block that one pixel of a coarse image stands for."""
 SMALLEST = 64
 """Images are not cropped to fewer pixels than this along a side."""
 ROUNDING = 1e-4
@@ -117,6 +121,12 @@ def coarser(observation: Observation, factor: int, *, least: float = 0.5) -> Obs
         measured=enough,
         sigma=torch.where(enough, sigma / factor, 1.0),
     )
+
+
+def coarse_factor(sensor: Sensor) -> int:
+    """Side of the blocks of pixels that one pixel of a coarse image stands for."""
+    shorter = min(sensor.projection.width, sensor.projection.height)
+    return max(1, min(COARSEST, shorter // COARSE_SIDE))
 
 
 def coarser_sensor(sensor: Sensor, factor: int) -> Sensor:

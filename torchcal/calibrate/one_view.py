@@ -7,16 +7,19 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.mechanism import Mechanism
-from torchcal.calibrate.observation import Observation, coarser, near_jumps, observed
+from torchcal.calibrate.observation import (
+    Observation,
+    coarse_factor,
+    coarser,
+    near_jumps,
+    observed,
+)
 from torchcal.calibrate.parameters import AXES, Parameters
 from torchcal.calibrate.slots import Slots
 from torchcal.geometry import se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.match.prior_gate import Prior
 from torchcal.model.sensor import Sensor
-
-SIDE = 60
-"""Least pixels along the shorter side of the image that first fits see; half for first looks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,8 +47,7 @@ class OneView:
         usable = usable if mask is None else usable & mask
         ranges = torch.where(usable, range_image, torch.nan).float()
         observation = observed(ranges[None], usable[None], sensor)
-        projection = sensor.projection
-        factor = max(1, min(8, min(projection.width, projection.height) // SIDE))
+        factor = coarse_factor(sensor)
         fine = _rays(observation, factor)
         return OneView(
             observation=observation,

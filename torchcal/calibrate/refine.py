@@ -20,8 +20,6 @@ from torchcal.solve.field import SPACING
 from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, covariance, minimise, shared
 from torchcal.solve.image_equations import blockwise_scatter
 
-COARSE_SIDE = 60
-"""The coarsest image has about so many pixels along its shorter side."""
 FINE_PIXELS = 600_000
 """Pixels of all frames together in the final fit of a sharp sensor; more are averaged in blocks."""
 RIPPLE = 0.005
@@ -55,12 +53,6 @@ class Refined:
     factor: int
     """Block size of the resolution: pixels of the image for one of the fit."""
     solution: Solution
-
-
-def coarse_factor(observation: Observation) -> int:
-    """Block size of the coarsest resolution."""
-    projection = observation.sensor.projection
-    return max(1, min(8, min(projection.width, projection.height) // COARSE_SIDE))
 
 
 def fine_factor(observation: Observation) -> int:

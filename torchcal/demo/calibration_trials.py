@@ -12,18 +12,14 @@ import trimesh
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.foresight import expected_covariance
 from torchcal.calibrate.observation import observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
-from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.result import Calibration
 from torchcal.demo import raycast
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
-from torchcal.solve.gauss_newton import covariance
-
-UNLIMITED = 1e9
-"""A cut-off that no residual reaches: the data of these trials have no outliers."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -76,18 +72,11 @@ def outcome(trial: Trial, calibration: Calibration) -> Outcome:
     job, estimate = trial.job, calibration.estimate
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
-    fit = RangeFit(
-        observation=observe(job),
-        surface=scene.surface,
-        parameters=parameters,
-        cutoff=UNLIMITED,
-        drift=None,
-    )
     return Outcome(
         status=estimate.status.value,
         error=parameters.difference(estimate.state, trial.state),
         covariance=estimate.covariance,
-        least=covariance(fit.evaluate(trial.state[None]).information[0]),
+        least=expected_covariance(observe(job), scene, parameters, trial.state),
     )
 
 
