@@ -2,11 +2,20 @@
 
 from pathlib import Path
 
+import hypothesis
 import kinematic_jobs
 import pytest
 import torch
 
 from torchcal.model.job import Job
+
+hypothesis.settings.register_profile(
+    "quick", max_examples=100, deadline=None, derandomize=True, database=None
+)
+hypothesis.settings.register_profile(
+    "long", max_examples=10_000, deadline=None, suppress_health_check=list(hypothesis.HealthCheck)
+)
+hypothesis.settings.load_profile("quick")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

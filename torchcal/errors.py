@@ -21,7 +21,12 @@ class JobError(TorchcalError):
     def __init__(self, file: Path | str, key: str, found: str, expected: str):
         self.file, self.key, self.found, self.expected = Path(file), key, found, expected
         where = f"{file}: {key}" if key else f"{file}"
-        super().__init__(f"{where}: found {found}; expected {expected}")
+        super().__init__(_printable(f"{where}: found {found}; expected {expected}"))
+
+
+def _printable(text: str) -> str:
+    """The text with codes for letters that a terminal would obey."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def choices(names: Iterable[str]) -> str:

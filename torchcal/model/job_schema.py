@@ -9,14 +9,20 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from torchcal.errors import choices
+from torchcal.model.meshes import FARTHEST
 from torchcal.model.sensor import PRESETS, Drift
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-Count = Annotated[int, Field(strict=True, gt=0)]
+Count = Annotated[int, Field(strict=True, gt=0, le=100_000)]
+Length = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-FARTHEST, le=FARTHEST)]
+Focal = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-3, le=1e7)]
+Unit = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e6)]
+Offset = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e7, le=1e7)]
 Flag = Annotated[bool, Field(strict=True)]
 Three = tuple[Number, Number, Number]
+Place = tuple[Length, Length, Length]
 Pair = tuple[Number, Number]
 
 
@@ -84,7 +90,9 @@ class Table(BaseModel):
 class PoseTable(Table):
     """A pose."""
 
-    xyz: Three = Field(default=(0.0, 0.0, 0.0), description="three numbers in metres")
+    xyz: Place = Field(
+        default=(0.0, 0.0, 0.0), description="three numbers in metres, at most a million"
+    )
     rpy_deg: Three = Field(
         default=(0.0, 0.0, 0.0), description="three numbers in degrees: roll, pitch, yaw as in URDF"
     )
@@ -97,8 +105,8 @@ class WorldTable(Table):
     """The CAD model of the surroundings."""
 
     model: str = Field(description="the name of a file that trimesh reads as a scene")
-    unit: Positive = Field(
-        default=1.0, description="metres for one unit of the file, a number above 0"
+    unit: Unit = Field(
+        default=1.0, description="metres for one unit of the file, a number from 1e-9 to 1e6"
     )
     pose: PoseTable = Field(default=PoseTable(), description=_POSE)
     complete: Flag = Field(default=False, description="true or false")
@@ -124,6 +132,10 @@ class DriftTable(Table):
         return Drift(sigma=self.sigma, pixels=self.pixels)
 
 
+_FOCAL = "a number of pixels from 0.001 to 1e7"
+_CENTRE = "a number of pixels, at most 1e7"
+
+
 class SensorTable(Table):
     """The range sensor; which keys must be there depends on ``model``."""
 
@@ -135,14 +147,22 @@ class SensorTable(Table):
         default=None, description=choices(PRESETS)
     )
     model: Literal["pinhole", "spherical"] = Field(description='"pinhole" or "spherical"')
-    width: Count | None = Field(default=None, description="a whole number of pixels above 0")
-    height: Count | None = Field(default=None, description="a whole number of pixels above 0")
-    fx: Positive | None = Field(default=None, description="a number of pixels above 0")
-    fy: Positive | None = Field(default=None, description="a number of pixels above 0")
-    cx: Number | None = Field(default=None, description="a number of pixels")
-    cy: Number | None = Field(default=None, description="a number of pixels")
-    columns: Count | None = Field(default=None, description="a whole number of pixels above 0")
-    rows: Count | None = Field(default=None, description="a whole number of pixels above 0")
+    width: Count | None = Field(
+        default=None, description="a whole number of pixels from 1 to 100000"
+    )
+    height: Count | None = Field(
+        default=None, description="a whole number of pixels from 1 to 100000"
+    )
+    fx: Focal | None = Field(default=None, description=_FOCAL)
+    fy: Focal | None = Field(default=None, description=_FOCAL)
+    cx: Offset | None = Field(default=None, description=_CENTRE)
+    cy: Offset | None = Field(default=None, description=_CENTRE)
+    columns: Count | None = Field(
+        default=None, description="a whole number of pixels from 1 to 100000"
+    )
+    rows: Count | None = Field(
+        default=None, description="a whole number of pixels from 1 to 100000"
+    )
     azimuth_deg: Annotated[Pair, AfterValidator(_up_to_a_turn)] | None = Field(
         default=None,
         description="two numbers [first column, last column] in degrees, at most a turn apart",
@@ -150,8 +170,9 @@ class SensorTable(Table):
     elevation_deg: Annotated[Pair, AfterValidator(_up_to_the_poles)] | None = Field(
         default=None, description="two numbers [first row, last row] in degrees between -90 and 90"
     )
-    depth_unit: Positive = Field(
-        default=0.001, description="metres for one unit of an integer image, a number above 0"
+    depth_unit: Unit = Field(
+        default=0.001,
+        description="metres for one unit of an integer image, a number from 1e-9 to 1e6",
     )
     range: Annotated[Pair, AfterValidator(_ascending)] = Field(
         description="two numbers [near, far] in metres with 0 <= near < far"

@@ -24,6 +24,9 @@ from torchcal.errors import JobError
 NEUTRAL_GREY = (178, 178, 178, 255)
 """RGBA of a surface that says nothing of its colour."""
 
+FARTHEST = 1e6
+"""m: no place or size of a robot's surroundings is beyond it; it was given in another unit."""
+
 WELD_TOLERANCE = 1e-7
 """Vertices closer than this share of the mesh's size are one vertex; STL files hold 24 bits."""
 
@@ -49,6 +52,13 @@ def read_scene(file: Path, key: str = "", named_in: Path | None = None) -> trime
         raise JobError(
             where, key, f"{file.name}, which cannot be read ({error})", "a file with triangles"
         ) from error
+
+
+def reach(mesh: trimesh.Trimesh, T: NDArray[np.float64]) -> float:
+    """The largest coordinate of a mesh under any 4x4 matrix; NaN or infinite for broken ones."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        corners = np.asarray(trimesh.bounds.corners(mesh.bounds)) @ T[:3, :3].T + T[:3, 3]
+    return float(np.abs(corners).max())
 
 
 def triangles(geometry: object) -> trimesh.Trimesh | None:

@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from torchcal.errors import JobError, choices
+from torchcal.model.meshes import FARTHEST
 from torchcal.model.urdf_tree import (
     GEOMETRIES,
     JOINT_KINDS,
@@ -15,6 +16,9 @@ from torchcal.model.urdf_tree import (
     Shape,
     Urdf,
 )
+
+DEEPEST = 200
+"""Most joints one after another: forward kinematics climbs the tree by recursion."""
 
 
 class _WithoutDoctype(ET.TreeBuilder):
@@ -61,13 +65,17 @@ def read_urdf(file: Path) -> Urdf:
     return Urdf(file=file, name=root.get("name", file.stem), links=links, joints=joints)
 
 
-def _numbers(file: Path, key: str, text: str, count: int) -> tuple[float, ...]:
+def _numbers(
+    file: Path, key: str, text: str, count: int, most: float = math.inf
+) -> tuple[float, ...]:
     try:
         values = tuple(float(word) for word in text.split())
     except ValueError:
         values = ()
-    if len(values) != count or not all(math.isfinite(value) for value in values):
-        raise JobError(file, key, repr(text), f"{count} finite number{'s' if count > 1 else ''}")
+    if len(values) != count or not all(math.isfinite(v) and abs(v) <= most for v in values):
+        limit = f" of at most {most:g}" if math.isfinite(most) else ""
+        expected = f"{count} finite number{'s' if count > 1 else ''}{limit}"
+        raise JobError(file, key, repr(text), expected)
     return values
 
 
@@ -83,7 +91,7 @@ def _origin(file: Path, key: str, element: ET.Element) -> Origin:
     if origin is None:
         return Origin()
     return Origin(
-        xyz=_numbers(file, f"{key}.origin.xyz", origin.get("xyz", "0 0 0"), 3),
+        xyz=_numbers(file, f"{key}.origin.xyz", origin.get("xyz", "0 0 0"), 3, FARTHEST),
         rpy=_numbers(file, f"{key}.origin.rpy", origin.get("rpy", "0 0 0"), 3),
     )
 
@@ -141,13 +149,13 @@ def _shape(
 
 def _size(file: Path, key: str, geometry: ET.Element) -> tuple[float, ...]:
     if geometry.tag == "mesh":
-        size = _numbers(file, f"{key}.scale", geometry.get("scale", "1 1 1"), 3)
+        size = _numbers(file, f"{key}.scale", geometry.get("scale", "1 1 1"), 3, FARTHEST)
         expected, right = "three numbers that are not 0", all(value != 0 for value in size)
     else:
         names = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
         texts = [_attribute(file, key, geometry, name) for name in names[geometry.tag]]
         count = {"box": 3, "cylinder": 2, "sphere": 1}[geometry.tag]
-        size = _numbers(file, key, " ".join(texts), count)
+        size = _numbers(file, key, " ".join(texts), count, FARTHEST)
         expected, right = "lengths above 0", all(value > 0 for value in size)
     if not right:
         raise JobError(file, key, " ".join(f"{value:g}" for value in size), expected)
@@ -227,8 +235,9 @@ def _check_tree(file: Path, links: list[str], joints: tuple[Joint, ...]) -> None
 
 
 def _check_reached(file: Path, links: list[str], root: str, joints: tuple[Joint, ...]) -> None:
-    reached, parents = {root}, {root}
+    reached, parents, depth = {root}, {root}, -1
     while parents:
+        depth += 1
         parents = {joint.child for joint in joints if joint.parent in parents}
         reached |= parents
     lost = [link for link in links if link not in reached]
@@ -236,3 +245,5 @@ def _check_reached(file: Path, links: list[str], root: str, joints: tuple[Joint,
         raise JobError(
             file, "", f"a cycle through {', '.join(lost)}", "one tree with one root link"
         )
+    if depth > DEEPEST:
+        raise JobError(file, "", f"{depth} joints in a chain", f"at most {DEEPEST}")

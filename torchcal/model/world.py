@@ -16,7 +16,15 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from torchcal.errors import JobError
-from torchcal.model.meshes import face_colours, merged, read_scene, transformed, triangles
+from torchcal.model.meshes import (
+    FARTHEST,
+    face_colours,
+    merged,
+    reach,
+    read_scene,
+    transformed,
+    triangles,
+)
 
 _ONE_OBJECT_FORMATS = (".stl", ".ply", ".off")
 
@@ -68,7 +76,8 @@ def load_world(
         complete: What the file leaves empty is known to be empty.
 
     Raises:
-        JobError: If the file is missing or broken, or has no triangles.
+        JobError: If the file is missing or broken, has no triangles, or an object in it lies
+            ``FARTHEST`` or nowhere.
     """
     named: dict[str, list[_Piece]] = {}
     for piece in _pieces(file):
@@ -77,6 +86,8 @@ def load_world(
         raise JobError(
             file, "", "no triangles (points and lines do not count)", "a scene of meshes"
         )
+    for name in sorted(named):
+        _check_reach(file, name, named[name], unit)
     objects = tuple(_object(name, named[name], unit, T_world_file) for name in sorted(named))
     return World(objects=objects, complete=complete)
 
@@ -134,11 +145,16 @@ def _pieces(file: Path) -> Iterator[_Piece]:
     for node in scene.graph.nodes_geometry:
         T_file_mesh, geometry = scene.graph[node]
         mesh = triangles(scene.geometry[geometry])
-        if mesh is not None:
+        if mesh is not None and _keeps_areas(T_file_mesh):
             T_file_object = scene.graph[_owner(scene, node)][0]
             yield _Piece(
                 name=names[node], mesh=mesh, T_file_mesh=T_file_mesh, T_file_object=T_file_object
             )
+
+
+def _keeps_areas(T: NDArray[np.float64]) -> bool:
+    """Whether something is left of a mesh under a matrix: a scale of 0 hides a node."""
+    return not np.isfinite(T).all() or bool(np.linalg.matrix_rank(T[:3, :3]) >= 2)
 
 
 def _owner(scene: trimesh.Scene, node: str) -> str:
@@ -183,6 +199,15 @@ def _obj_object(scene: trimesh.Scene, node: str, objects: set[str]) -> str | Non
     material = getattr(scene.geometry[scene.graph[node][1]].visual, "material", None)
     name = node.removesuffix(f"_{getattr(material, 'name', '')}")
     return name if name in objects else None
+
+
+def _check_reach(file: Path, name: str, pieces: list[_Piece], unit: float) -> None:
+    for piece in pieces:
+        farthest = unit * reach(piece.mesh, piece.T_file_mesh)
+        if not farthest <= FARTHEST or not np.isfinite(piece.T_file_object).all():
+            found = f"the object {name} with a coordinate of {farthest:g} m"
+            expected = f"finite numbers of at most {FARTHEST:g} m; is world.unit = {unit:g} right?"
+            raise JobError(file, "", found, expected)
 
 
 def _object(
