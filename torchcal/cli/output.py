@@ -1,5 +1,7 @@
 """Writing a folder as a whole or not at all."""
 
+import ctypes
+import os
 import secrets
 import shutil
 import tomllib
@@ -30,7 +32,7 @@ def replaced_folder(folder: Path, inputs: tuple[Path, ...] = ()) -> Iterator[Pat
 
     Raises:
         TorchcalError: If ``folder`` holds an input or something that torchcal did not write, is no
-            folder, or cannot be written.
+            folder, or cannot be written, or the disk is full.
     """
     target = folder.resolve()
     refuse_to_lose(target, inputs)
@@ -38,6 +40,14 @@ def replaced_folder(folder: Path, inputs: tuple[Path, ...] = ()) -> Iterator[Pat
     try:
         yield partial
         _swap(partial, target)
+    except OSError as error:
+        # What cannot be opened names its file; a write that fails, on a full disk, names none.
+        if error.filename is not None:
+            raise
+        raise TorchcalError(
+            f"--out {target}: found {error.strerror or error} while it was written; expected room "
+            "for the results; what was there before is as it was"
+        ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -133,6 +143,8 @@ def _swap(partial: Path, target: Path) -> None:
     if not target.exists():
         partial.rename(target)
         return
+    if _exchanged(partial, target):
+        return
     old = target.with_name(f".{target.name}.old-{secrets.token_hex(4)}")
     target.rename(old)
     try:
@@ -141,3 +153,16 @@ def _swap(partial: Path, target: Path) -> None:
         old.rename(target)
         raise
     shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Lets two folders change places in one step; False where the system cannot do that.
+
+    Two renames would do as well, but a process killed between them leaves no folder at all.
+    """
+    try:
+        rename = ctypes.CDLL(None).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
+    return rename(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
