@@ -174,5 +174,6 @@ def calibration(
             ),
         ),
         next_view=NextView(joints={"elbow": 0.25}, gain=1.5, sigma={"base.x": 0.001}),
+        warnings=(),
         timing={"read": 0.5, "estimate": 12.25},
     )

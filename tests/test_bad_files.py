@@ -36,13 +36,17 @@ def node(T: list[float]) -> Callable[[Path], None]:
 
 
 def shifted(offset: float) -> Callable[[Path], None]:
-    return lambda folder: (
-        BOX.copy().apply_translation([offset, 0, 0]).export(folder / "cell.glb") and None
-    )
+    def write(folder: Path) -> None:
+        BOX.copy().apply_translation([offset, 0, 0]).export(folder / "cell.glb")
+
+    return write
 
 
 def text(name: str, content: str) -> Callable[[Path], None]:
-    return lambda folder: (folder / name).write_text(content) and None
+    def write(folder: Path) -> None:
+        (folder / name).write_text(content)
+
+    return write
 
 
 def gltf(uri: str) -> Callable[[Path], None]:

@@ -9,7 +9,9 @@ from torchcal.calibrate.observability import unobservable_directions
 from torchcal.calibrate.observation import coarse_factor, coarser, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene, predict
+from torchcal.calibrate.readings import misreadings
 from torchcal.calibrate.result import Foresight, FrameCheck, JobCheck, ParameterCheck
+from torchcal.calibrate.suspicion import suspicions
 from torchcal.model.job import Frame, Job
 
 FEW = 0.05
@@ -33,7 +35,11 @@ def check(job: Job) -> JobCheck:
         frames=frames,
         parameters=_parameter_checks(parameters, P),
         unobservable=unobservable_directions(P, parameters),
-        warnings=() if parameters.names else ("The job declares nothing unknown.",),
+        warnings=(
+            *(() if parameters.names else ("The job declares nothing unknown.",)),
+            *suspicions(job),
+            *misreadings(job, scene, parameters, parameters.nominal),
+        ),
     )
 
 

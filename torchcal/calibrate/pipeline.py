@@ -24,9 +24,11 @@ from torchcal.calibrate.estimate import (
 from torchcal.calibrate.foresight import next_view
 from torchcal.calibrate.observation import grown
 from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.readings import misreadings
 from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
-from torchcal.calibrate.result import Calibration, FrameComparison
+from torchcal.calibrate.result import Calibration, FrameComparison, Status
+from torchcal.calibrate.suspicion import suspicions
 from torchcal.calibrate.update import propose_update
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene, build_scene
@@ -75,6 +77,10 @@ def calibrate(
             correlation_pixels=belief.drift_pixels,
             moved={name: result.Ts_world_object[name] for name in result.moved},
         )
+    warnings = suspicions(job)
+    if choice is not None and result.status != Status.CONVERGED:
+        with stages.stage("look for a mistake"):
+            warnings += misreadings(job, scene, parameters, belief.state)
     ahead = None
     if choice is not None:
         with stages.stage("look ahead"):
@@ -85,6 +91,7 @@ def calibrate(
         comparisons=comparisons,
         update=update,
         next_view=ahead,
+        warnings=warnings,
         timing=stages.timing,
     )
 

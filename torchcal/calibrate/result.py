@@ -221,6 +221,8 @@ class Calibration:
     update: Update
     next_view: NextView | None
     """None without joints that could be moved, or where nothing was estimated."""
+    warnings: tuple[str, ...]
+    """What looks wrong in the job although it could be read, in sentences."""
     timing: dict[str, float]
     """Seconds for each stage."""
 

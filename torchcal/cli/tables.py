@@ -1,7 +1,7 @@
 """Answers as text on a terminal."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -42,7 +42,7 @@ def calibration_view(calibration: Calibration) -> Group:
     ]
     if calibration.update.verdicts or calibration.update.added:
         parts.append(_object_table(calibration))
-    return Group(*parts)
+    return Group(*parts, *_warnings(calibration.warnings))
 
 
 def check_view(check: JobCheck) -> Group:
@@ -51,8 +51,8 @@ def check_view(check: JobCheck) -> Group:
     if check.parameters:
         parts.append(_parameter_table(check.parameters))
     parts += [_direction(direction) for direction in check.unobservable]
-    parts += [Text(f"warning: {words}", style="yellow") for words in _warnings(check)]
-    return Group(*parts)
+    of_frames = [f"{frame.name}: {words}" for frame in check.frames for words in frame.warnings]
+    return Group(*parts, *_warnings([*check.warnings, *of_frames]))
 
 
 def _table(title: str, *headings: str) -> Table:
@@ -141,7 +141,5 @@ def _parameter_table(parameters: tuple[ParameterCheck, ...]) -> Table:
     return table
 
 
-def _warnings(check: JobCheck) -> list[str]:
-    """The job's warnings, then those of its frames."""
-    of_frames = [f"{frame.name}: {words}" for frame in check.frames for words in frame.warnings]
-    return [*check.warnings, *of_frames]
+def _warnings(warnings: Sequence[str]) -> list[Text]:
+    return [Text(f"warning: {words}", style="yellow") for words in warnings]
