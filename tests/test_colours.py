@@ -82,7 +82,7 @@ def test_no_two_classes_look_alike(eye: str):
 
 @pytest.mark.parametrize("eye", EYES)
 def test_nearer_and_farther_are_told_apart_on_the_scale_of_differences(eye: str):
-    ends = colours.difference_colours(np.array([[-9.0, 0.0, 9.0]]), 9.0)[0]
+    ends = colours.difference_image(np.array([[-9.0, 0.0, 9.0]]), 9.0)[0]
     assert min(difference(a, b, eye) for a, b in combinations(ends, 2)) > APART
 
 

@@ -63,7 +63,7 @@ def range_limits(ranges: Float[np.ndarray, "..."]) -> tuple[float, float]:
     return low - spare, high + spare
 
 
-def range_colours(
+def range_image(
     ranges: Float[np.ndarray, "h w"], limits: tuple[float, float]
 ) -> UInt8[np.ndarray, "h w 3"]:
     """RGB of ranges (m) between ``limits``; the neutral colour where they are NaN."""
@@ -71,7 +71,7 @@ def range_colours(
     return _mapped((ranges - low) / (high - low), RANGE_MAP)
 
 
-def difference_colours(
+def difference_image(
     difference: Float[np.ndarray, "h w"], reach: float
 ) -> UInt8[np.ndarray, "h w 3"]:
     """RGB of differences up to ``reach`` both ways; the neutral colour where they are NaN."""

@@ -13,8 +13,8 @@ from torchcal.display.colours import (
     DIFFERENCE_MAP,
     RANGE_MAP,
     class_image,
-    difference_colours,
-    range_colours,
+    difference_image,
+    range_image,
     range_limits,
 )
 from torchcal.display.hybrid import hybrid_image, hybrid_limits
@@ -160,7 +160,7 @@ def _range_panel(
     empty: str,
 ) -> None:
     """Ranges with their scale; where there are none, words that say so."""
-    _panel(figure, box, range_colours(values, limits), title)
+    _panel(figure, box, range_image(values, limits), title)
     if np.isfinite(values).any():
         _range_bar(figure, box, limits, "m")
     else:
@@ -179,7 +179,7 @@ def _difference_panel(figure: Figure, box: Box, comparison: FrameComparison, alp
     """Measured minus predicted over sigma' of eq. 4; red nearer, blue farther, white trusted."""
     reach = 3.0 * alpha
     difference = as_array((comparison.measured - comparison.predicted) / comparison.sigma)
-    _panel(figure, box, difference_colours(difference, reach), "Measured minus predicted")
+    _panel(figure, box, difference_image(difference, reach), "Measured minus predicted")
     if not np.isfinite(difference).any():
         return _note(figure, box, "nothing to compare")
     bar = canvas.colour_bar(figure, _bar_beside(box), DIFFERENCE_MAP, (-reach, reach), "σ′")

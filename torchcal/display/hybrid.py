@@ -18,7 +18,7 @@ from torchcal.display.colours import (
     CLASS_COLOURS,
     NEUTRAL,
     as_bytes,
-    range_colours,
+    range_image,
     range_limits,
 )
 
@@ -74,7 +74,7 @@ def hybrid_image(
     modelled = np.isin(label, (PixelClass.AGREES, PixelClass.MISSING))
     image[modelled] = shaded_model(comparison)[modelled]
     measured = np.isin(label, MEASURED_CLASSES)
-    ranges = range_colours(as_array(comparison.measured), hybrid_limits(comparison))
+    ranges = range_image(as_array(comparison.measured), hybrid_limits(comparison))
     image[measured] = ranges[measured]
     image, label = (each.repeat(enlarged[0], 0).repeat(enlarged[1], 1) for each in (image, label))
     return marked(image, label, max(1, round(min(label.shape) / STROKE)))
