@@ -10,7 +10,7 @@ from display_scene import REGIONS, comparison
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.display import colours, hybrid, legend
 
-MODEL_BYTE = round(255 * 0.7 * (0.35 + 0.65 * 0.8))
+MODEL_BYTE = round(255 * 0.7 * (0.5 + 0.5 * 0.8))
 """Red of the scene's model (0.7) where its normal is turned 0.8 to the lamp."""
 
 
@@ -35,12 +35,13 @@ def test_measurement_is_shown_where_the_model_is_not_to_be_trusted(member):
     assert np.abs(region - expected).max(-1).min() <= 4.0
 
 
-def test_missing_pixels_show_the_model_dimmed_and_hatched():
-    rows, columns = torch.where(REGIONS[PixelClass.MISSING])
-    red = hybrid.hybrid_image(comparison())[rows, columns, 0]
-    assert red.max() < 0.7 * MODEL_BYTE
-    assert len(np.unique(red)) == 2
-    assert np.ptp(red) > 0.3 * MODEL_BYTE
+def test_missing_pixels_show_the_model_dimmed_under_level_lines():
+    rows, columns = (each.numpy() for each in torch.where(REGIONS[PixelClass.MISSING]))
+    shown = hybrid.hybrid_image(comparison())
+    lines = (shown == colours.as_bytes(colours.CLASS_COLOURS[PixelClass.MISSING])).all(-1)
+    assert (shown[rows, columns, 0] == MODEL_BYTE // 2).mean() > 0.7
+    np.testing.assert_array_equal(np.flatnonzero(lines.any(1)), [9])
+    assert lines[9, columns.min() : columns.max() + 1].all()
 
 
 def test_nothing_is_shown_where_nothing_was_compared():

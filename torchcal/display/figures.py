@@ -34,7 +34,7 @@ SHOWN_AS: dict[PixelClass, str] = {
     PixelClass.NEARER: "the measurement is shown, with rising lines",
     PixelClass.FARTHER: "the measurement is shown, with falling lines",
     PixelClass.UNMODELLED: "the measurement is shown, with a grid",
-    PixelClass.MISSING: "the model is shown, dim and in bands",
+    PixelClass.MISSING: "the model is shown, dim, with level lines",
     PixelClass.NOT_COMPARED: "nothing is shown",
 }
 """What the hybrid view shows of each class, in the order of legends."""

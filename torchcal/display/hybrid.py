@@ -22,7 +22,7 @@ from torchcal.display.colours import (
     range_limits,
 )
 
-AMBIENT = 0.35
+AMBIENT = 0.5
 """The share of light that reaches a surface seen edge-on."""
 
 STROKE = 300
@@ -34,13 +34,15 @@ PERIOD = 9
 SPECKLE = 30
 """Squares of a line's width: a smaller region gets no outline, which would cover it."""
 
-Pattern = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Where the lines of a hatching are, from pixels (u, v) in widths of a line."""
+Pattern = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+"""Where the lines of a hatching are, from pixels (u, v) and the width of lines in pixels."""
 
 HATCHINGS: dict[PixelClass, Pattern] = {
-    PixelClass.NEARER: lambda u, v: (u + v) % PERIOD < 1,
-    PixelClass.FARTHER: lambda u, v: (u - v) % PERIOD < 1,
-    PixelClass.UNMODELLED: lambda u, v: (u % PERIOD < 1) | (v % PERIOD < 1),
+    PixelClass.NEARER: lambda u, v, line: (u + v) % (PERIOD * line) < line,
+    PixelClass.FARTHER: lambda u, v, line: (u - v) % (PERIOD * line) < line,
+    PixelClass.UNMODELLED: lambda u, v, line: (
+        np.minimum(u % (PERIOD * line), v % (PERIOD * line)) < line
+    ),
 }
 """Rising lines, falling lines, a grid."""
 
@@ -60,9 +62,9 @@ def hybrid_image(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """What the operator sees of one frame, pixel by pixel (2.3).
 
-    The model, shaded by a lamp at the sensor, where eq. 5 finds it right; dimmed in bands where
-    nothing was measured that could confirm it; the measured range by colour where eq. 5 finds the
-    model wrong or empty, hatched and outlined by class; dark elsewhere.
+    The model, shaded by a lamp at the sensor, where eq. 5 finds it right; dim, under level lines,
+    where nothing was measured that could confirm it; the measured range by colour where eq. 5 finds
+    the model wrong or empty, hatched and outlined by class; dark elsewhere.
 
     Args:
         comparison: One frame.
@@ -90,7 +92,7 @@ def shaded_model(comparison: FrameComparison) -> UInt8[np.ndarray, "h w 3"]:
 def marked(
     image: UInt8[np.ndarray, "h w 3"], label: Int[np.ndarray, "h w"], line: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with bands, hatchings and outlines that tell the classes of its pixels.
+    """The image with hatchings and outlines that tell the classes of its pixels.
 
     Args:
         image: What the pixels show.
@@ -99,13 +101,12 @@ def marked(
     """
     image = image.copy()
     v, u = np.ogrid[: label.shape[0], : label.shape[1]]
-    u, v = u // line, v // line
     missing = label == PixelClass.MISSING
-    bands = np.where(v % PERIOD < PERIOD // 2, 0.3, 0.65) + 0.0 * u
-    image[missing] = (image[missing] * bands[missing][:, None]).astype(np.uint8)
+    image[missing] //= 2
+    image[missing & (v % (PERIOD * line) < line)] = as_bytes(CLASS_COLOURS[PixelClass.MISSING])
     for member, lines in HATCHINGS.items():
         inside = label == member
-        on = inside & lines(u, v)
+        on = inside & lines(u, v, line)
         image[on] = _contrasted(image[on])
         image[_rim(inside, line)] = as_bytes(CLASS_COLOURS[member])
     return image

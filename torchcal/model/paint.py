@@ -41,11 +41,11 @@ class Paint:
         """The same look when every face lists its corners the other way round."""
         return replace(self, colour=self.colour.flip(1), uv=self.uv.flip(1))
 
-    def to(self, dtype: torch.dtype, device: torch.device) -> "Paint":
-        """The same on a device; bytes of images stay bytes."""
+    def to(self, device: torch.device) -> "Paint":
+        """The same on a device; single precision is more than colours need."""
         return Paint(
-            colour=self.colour.to(device, dtype),
-            uv=self.uv.to(device, dtype),
+            colour=self.colour.to(device),
+            uv=self.uv.to(device),
             image=self.image.to(device),
             images=tuple(each.to(device) for each in self.images),
         )

@@ -107,7 +107,7 @@ def build_scene(
         edges=torch.as_tensor(edges, **index),
         edge_faces=torch.as_tensor(edge_faces, **index),
     )
-    paint = joined([part.paint for part in welded]).to(dtype, device)
+    paint = joined([part.paint for part in welded]).to(device)
     return Scene(bodies=bodies, surface=surface, paint=paint)
 
 
