@@ -145,6 +145,12 @@ def test_every_proposal_stands_with_its_evidence_in_words():
     assert "0.200 × 0.300 × 0.400 m along the world’s axes, centre (1.000, 0.000, 0.000)" in words
 
 
+def test_proposals_of_a_result_that_cannot_be_used_come_with_a_warning():
+    warning = "cannot be relied on"
+    assert warning in rendered(status=Status.FAILED)
+    assert warning not in rendered()
+
+
 def test_a_moved_object_says_how_far_and_what_speaks_against_it():
     (row,) = [each for each in changes(moved()) if each.name == "crate"]
     assert row.evidence == Evidence(supporting=1234, contradicting=56, hidden=7)
