@@ -3,8 +3,9 @@
 import math
 from dataclasses import dataclass
 
+from torchcal.calibrate.parameters import parameter_unit
 from torchcal.calibrate.result import AddedObject, Calibration, Change, Evidence, ObjectVerdict
-from torchcal.display.summary import MILLI, SHOWN_UNITS, axis_unit, distance_words
+from torchcal.display.summary import MILLI, SHOWN_UNITS, distance_words
 
 MOST_LEFT = 8
 """Parameters of the next view that are listed: those that it would tell most about."""
@@ -111,7 +112,7 @@ def next_view_rows(calibration: Calibration) -> list[SigmaRow]:
     rows = []
     for name, variance in zip(estimate.names, variances, strict=True):
         if name in view.sigma and variance > 0.0:
-            scale, unit = SHOWN_UNITS[axis_unit(name, calibration.job)]
+            scale, unit = SHOWN_UNITS[parameter_unit(name, calibration.job)]
             now, then = scale * math.sqrt(variance), scale * view.sigma[name]
             rows.append(SigmaRow(name=name, unit=unit, now=now, then=then))
     return sorted(rows, key=lambda row: row.then / row.now)[:MOST_LEFT]

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.observability import LEFT
+from torchcal.calibrate.parameters import parameter_unit
 from torchcal.calibrate.result import Calibration, NextView
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
@@ -192,16 +193,6 @@ def distance_words(one: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> st
     return f"{moved:.1f} mm and {turned:.2f}° away"
 
 
-def axis_unit(name: str, job: Job) -> str:
-    """The unit of a parameter by its name, a key of ``SHOWN_UNITS``."""
-    block, _, rest = name.partition(".")
-    if block == "joints" and job.robot is not None:
-        return job.robot.joint_unit(rest)
-    if name == "range.scale":
-        return "1"
-    return "rad" if rest.rpartition(".")[2] in AXES[3:] else "m"
-
-
 def next_view_words(view: NextView | None) -> str:
     """Where to look next, as a job file has it (rad, m); empty where nobody knows."""
     if view is None:
@@ -248,7 +239,7 @@ def _joint_priors(job: Job) -> str:
     """One standard deviation of every joint's zero position."""
     words = []
     for name, sigma in job.joints.items():
-        scale, unit = SHOWN_UNITS[axis_unit(f"joints.{name}", job)]
+        scale, unit = SHOWN_UNITS[parameter_unit(f"joints.{name}", job)]
         words.append(f"{name} {scale * sigma:.4g}{'' if unit == '°' else ' '}{unit}")
     return ", ".join(words)
 
