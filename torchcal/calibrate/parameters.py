@@ -50,7 +50,7 @@ class Parameters:
         names, sigmas, columns = _free(job, slots)
         return Parameters(
             names=names,
-            units=tuple(_unit(name, job) for name in names),
+            units=tuple(parameter_unit(name, job) for name in names),
             prior_sigma=sigmas,
             columns=columns,
             nominal=_nominal(job, scene, slots),
@@ -201,7 +201,8 @@ def _sigmas(job: Job, slots: Slots) -> Iterator[tuple[str, int, float]]:
         yield from _of_pose(f"frames.{k + 1}", slots.of_frames.start + k, job.frame_poses)
 
 
-def _unit(name: str, job: Job) -> Unit:
+def parameter_unit(name: str, job: Job) -> Unit:
+    """The unit of a parameter by its name, such as ``base.rx`` or ``joints.elbow``."""
     block, _, rest = name.partition(".")
     if block == "joints" and job.robot is not None:
         return job.robot.joint_unit(rest)

@@ -93,6 +93,7 @@ def calibrate(
         next_view=ahead,
         warnings=warnings,
         timing=stages.timing,
+        seed=generator.initial_seed(),
     )
 
 

@@ -225,6 +225,8 @@ class Calibration:
     """What looks wrong in the job although it could be read, in sentences."""
     timing: dict[str, float]
     """Seconds for each stage."""
+    seed: int | None = None
+    """Of the generator that starts were drawn with; None where nobody knows."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
