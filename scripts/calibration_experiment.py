@@ -26,10 +26,19 @@ class Options:
     """Recordings of the demo's robots with one setting of unknowns."""
 
     what: tyro.conf.Positional[
-        Literal["joints", "everything", "objects", "sharp-objects", "rover-laser", "rover-sonar"]
+        Literal[
+            "joints",
+            "everything",
+            "objects",
+            "sharp-objects",
+            "range",
+            "rover-laser",
+            "rover-sonar",
+        ]
     ]
     """Three joints of the arm; its base, joints and mount; two objects with the paper's sensor, or
-    with 5 mm noise and beam 1; the base of the rover with a preset."""
+    with 5 mm noise and beam 1; its base with a sensor that reads 1 % and 5 mm too far; the base of
+    the rover with a preset."""
     trials: int = 10
     """Recordings to draw."""
     seed: int = 0
@@ -42,7 +51,8 @@ class Options:
 
 def run_trial(job: torchcal.Job, options: Options, number: int) -> dict[str, Any]:
     """One recording: what was found, against the truth."""
-    trial = calibration_trials.draw_trial(job, options.seed, number)
+    known = calibration_jobs.not_drawn(options.what)
+    trial = calibration_trials.draw_trial(job, options.seed, number, known=known)
     began = time.perf_counter()
     generator = torch.Generator().manual_seed(options.seed)
     calibration = torchcal.calibrate(trial.job, generator=generator)
@@ -116,6 +126,8 @@ def block_of(name: str) -> str:
     first, _, axis = name.rpartition(".")
     if first == "joints":
         return first
+    if first == "range":
+        return name
     return f"{first} {'turn' if axis.startswith('r') else 'shift'}"
 
 

@@ -4,6 +4,7 @@ The truth is drawn from the job's own prior, the images come from ``torchcal.dem
 no estimator is tested on its own renderer.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,18 +49,23 @@ class Outcome:
     """The Cramer-Rao value of the same recording, with the prior."""
 
 
-def draw_trial(job: Job, seed: int, number: int) -> Trial:
+def draw_trial(
+    job: Job, seed: int, number: int, *, known: Mapping[str, float] | None = None
+) -> Trial:
     """Draws a truth from the prior of a job and records it.
 
     Args:
         job: Its frames have joints or poses; their images are replaced.
         seed: Of the experiment.
         number: Of the trial, which depends on nothing else.
+        known: True values (m, rad) that are not drawn, by names of ``Parameters.names``.
     """
     rng = np.random.default_rng([seed, number])
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     step = torch.from_numpy(rng.standard_normal(len(parameters.names))) * parameters.prior_sigma
+    for name, value in (known or {}).items():
+        step[parameters.names.index(name)] = value
     state = parameters.retract(parameters.nominal, step)
     meshes = _meshes(job)
     offset, scale = parameters.range_error(state).tolist()
