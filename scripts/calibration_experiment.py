@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import torch
 import tyro
+from scipy.stats import chi2
 from torch import Tensor
 
 import torchcal
@@ -66,7 +67,10 @@ def run_trial(job: torchcal.Job, options: Options, number: int) -> dict[str, Any
         "error": found.error.tolist(),
         "sigma": found.covariance.diagonal().sqrt().tolist(),
         "least": found.least.diagonal().sqrt().tolist(),
-        "nees": nees(found, slice(None)),
+        "nees": nees(found),
+        "told": found.told.shape[1],
+        "distance": found.distance,
+        "within_997": bool(found.distance < chi2.ppf(0.997, found.told.shape[1])),
         "unobservable": [each.words for each in calibration.estimate.unobservable],
         "accused": [
             name
@@ -77,10 +81,10 @@ def run_trial(job: torchcal.Job, options: Options, number: int) -> dict[str, Any
     }
 
 
-def nees(found: Outcome, rows: slice) -> float:
+def nees(found: Outcome) -> float:
     """Per degree of freedom."""
-    error, P = found.error[rows], found.covariance[rows, rows]
-    return float(error @ torch.linalg.solve(P, error)) / max(1, len(error))
+    error = found.error
+    return float(error @ torch.linalg.solve(found.covariance, error)) / max(1, len(error))
 
 
 def block_summary(trials: list[dict[str, Any]], rows: list[int]) -> dict[str, float]:
@@ -112,6 +116,7 @@ def summary(
         **{key: getattr(options, key) for key in ("what", "trials", "seed", "side")},
         "status": {status: statuses.count(status) for status in sorted(set(statuses))},
         "nees_mean": sum(trial["nees"] for trial in trials) / len(trials),
+        "within_997": sum(trial["within_997"] for trial in trials) / len(trials),
         "accused": sum(bool(trial["accused"]) for trial in trials),
         "added": sum(trial["added"] for trial in trials),
         "seconds_mean": sum(trial["seconds"] for trial in trials) / len(trials),

@@ -13,12 +13,14 @@ import trimesh
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.observability import LEFT
 from torchcal.calibrate.observation import observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.result import Calibration
 from torchcal.demo import raycast
+from torchcal.geometry import gaussian
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
 from torchcal.solve.gauss_newton import covariance
@@ -47,6 +49,14 @@ class Outcome:
     """What the estimate claims."""
     least: Float[Tensor, "parameter parameter"]
     """The Cramer-Rao value of the same recording, with the prior."""
+    told: Float[Tensor, "parameter direction"]
+    """Directions of which the images left at most half of the prior's sigma."""
+
+    @property
+    def distance(self) -> float:
+        """Squared Mahalanobis distance of the error in what the images told."""
+        error, P = self.told.mT @ self.error, self.told.mT @ self.covariance @ self.told
+        return float(error @ torch.linalg.solve(P, error))
 
 
 def draw_trial(
@@ -94,7 +104,13 @@ def outcome(trial: Trial, calibration: Calibration) -> Outcome:
         error=parameters.difference(estimate.state, trial.state),
         covariance=estimate.covariance,
         least=covariance(fit.evaluate(trial.state[None]).information[0]),
+        told=_told(estimate.covariance, parameters.prior_sigma),
     )
+
+
+def _told(P: Tensor, prior_sigma: Tensor) -> Tensor:
+    ratio, direction = gaussian.left_over(P, prior_sigma)
+    return direction[:, ratio <= LEFT] / prior_sigma[:, None]
 
 
 def _meshes(job: Job) -> list[trimesh.Trimesh]:
@@ -112,4 +128,5 @@ def _predicted(
         mesh.copy().apply_transform(T.numpy())
         for mesh, T in zip(meshes, Ts_sensor_body, strict=True)
     ]
-    return raycast.predict(raycast.view(placed, np.eye(4)), sensor.projection, sensor.beam)
+    view = raycast.view(placed, np.eye(4), near=sensor.near, far=sensor.far)
+    return raycast.predict(view, sensor.projection, sensor.beam)
