@@ -14,11 +14,13 @@ THINGS = 4000
 
 def sensor(azimuth_deg: tuple[float, float], elevation_deg: tuple[float, float]) -> Spherical:
     """A pixel is about a degree."""
-    spans = [int(abs(to - from_)) + 1 for from_, to in (azimuth_deg, elevation_deg)]
-    azimuth, elevation = (
-        tuple(math.radians(degrees) for degrees in each) for each in (azimuth_deg, elevation_deg)
+    (left, right), (top, bottom) = azimuth_deg, elevation_deg
+    return Spherical(
+        width=int(abs(right - left)) + 1,
+        height=int(abs(bottom - top)) + 1,
+        azimuth=(math.radians(left), math.radians(right)),
+        elevation=(math.radians(top), math.radians(bottom)),
     )
-    return Spherical(width=spans[0], height=spans[1], azimuth=azimuth, elevation=elevation)
 
 
 SENSORS = [

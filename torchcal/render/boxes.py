@@ -109,7 +109,7 @@ def tiles_of_points(
 
 
 def _angle(unit: Tensor, other: Tensor) -> Tensor:
-    """rad"""
+    """Between unit vectors (rad)."""
     return (unit * other).sum(-1).clamp(-1, 1).acos()
 
 
