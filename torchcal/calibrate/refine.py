@@ -22,7 +22,7 @@ from torchcal.solve.image_equations import blockwise_scatter
 
 COARSE_SIDE = 60
 """The coarsest image has about so many pixels along its shorter side."""
-FINE_PIXELS = 1_000_000
+FINE_PIXELS = 800_000
 """Pixels of all frames that measured something, together, in the final fit of a sharp sensor; more
 are averaged in blocks."""
 RIPPLE = 0.005
