@@ -87,6 +87,20 @@ def test_the_sensors_own_range_error_beside_its_pose(rng):
     assert_right(trial, calibration)
 
 
+def test_a_sensor_that_reads_too_far_beside_its_pose(rng):
+    """1 % and 5 mm: the truth is given, all else is drawn."""
+    job = replace(hand_job(2), base=prior(), range=RangePrior(offset_sigma=0.02, scale_sigma=0.02))
+    trial = draw_trial(job, 7, 0, known={"range.offset": 0.005, "range.scale": 0.01})
+    parameters = Parameters.of(trial.job, build_job_scene(trial.job))
+    assert parameters.range_error(trial.state).tolist() == pytest.approx([0.005, 0.01], abs=1e-12)
+    calibration = calibrate(trial.job, generator=rng)
+    assert_right(trial, calibration)
+    result = outcome(trial, calibration)
+    z = (result.error / result.covariance.diagonal().sqrt())[-2:]
+    assert z.abs().max() < 3.0
+    assert calibration.estimate.range_scale == pytest.approx(0.01, abs=0.002)
+
+
 def test_frames_of_their_own_beside_an_object(rng):
     job = replace(hand_job(3), frame_poses=prior(0.03, 0.03), objects={"crate": prior(0.03, 0.03)})
     trial, calibration = found(job, 4, rng)

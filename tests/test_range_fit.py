@@ -86,7 +86,7 @@ def test_residuals_are_measured_minus_predicted():
     truth = parameters.retract(parameters.nominal, twist(0.0, 0.0, 0.01, 0.01, -0.01, 0.0))
     (frame,) = fit.residuals(truth)
     assert frame.compared.all()
-    assert frame.missed == 0
+    assert not frame.uncompared.any()
     # z'' / 24 with tilts of 0.3 and pixels of 1/55 rad: 3e-5 of 2 m.
     assert float(frame.residual.abs().max()) < 1e-4
     (nearer,) = fit.residuals(parameters.retract(truth, twist(0, 0, 0.1, 0, 0, 0)))
@@ -109,6 +109,51 @@ def test_a_state_without_overlap_costs_as_much_as_outliers_everywhere():
     assert float(equations.cost) == pytest.approx(expected, rel=1e-9)
     precision = torch.diag(parameters.prior_sigma.square().reciprocal())
     torch.testing.assert_close(equations.information[0], precision, rtol=1e-9, atol=1e-9)
+
+
+def limited_job(offset: float, sigma: float, generator: torch.Generator) -> Job:
+    """A wall at 2 m before a sensor that measures from 2 m - ``offset`` on; the rest is lost."""
+    wall = {"wall": scenes.wall(2.0)}
+    sensor = replace(recordings.sensor(sigma=sigma), near=2.0 - offset)
+    job = recordings.hand_held(sensor, [EYE], error=twist(*[0.0] * 6), real=wall)
+    noisy = 2.0 + sigma * torch.randn(48, 64, generator=generator, dtype=torch.float64)
+    measured = torch.where(noisy >= sensor.near, noisy, torch.nan)
+    frames = (recordings.frame_of(measured, T_world_sensor=EYE),)
+    return replace(job, world=recordings.world_of(wall), frames=frames)
+
+
+def test_what_noise_alone_brings_inside_the_limits_is_not_compared(rng):
+    """One standard deviation inside, a sixth of the pixels is lost, all of them too near."""
+    fit, parameters = fit_of(limited_job(0.05, 0.05, rng))
+    (frame,) = fit.residuals(parameters.nominal)
+    lost = 1.0 - float(fit.observation.measured.double().mean())
+    assert 0.14 < lost < 0.18
+    assert not frame.compared.any()
+    # They cost what pixels that agree cost on average, and say nothing.
+    cost = float(fit.evaluate(parameters.nominal[None]).cost)
+    assert cost == pytest.approx(0.5 * int(fit.observation.measured.sum()))
+
+
+def test_what_is_well_inside_the_limits_is_compared(rng):
+    fit, parameters = fit_of(limited_job(0.2, 0.05, rng))
+    (frame,) = fit.residuals(parameters.nominal)
+    assert frame.compared.all()
+    assert not frame.uncompared.any()
+
+
+def test_frames_without_a_measurement_keep_their_place(rng):
+    """Their images need not be predicted."""
+    job = limited_job(0.5, 0.05, rng)
+    empty = recordings.frame_of(torch.full((48, 64), torch.nan).double(), T_world_sensor=EYE)
+    fit, parameters = fit_of(replace(job, frames=(empty, *job.frames, empty)))
+    alone, _ = fit_of(job)
+    frames = list(fit.residuals(parameters.nominal))
+    assert [int(frame.compared.sum()) for frame in frames] == [0, 48 * 64, 0]
+    assert [frame.jacobian.shape for frame in frames] == [(48, 64, 6)] * 3
+    total = fit.evaluate(parameters.nominal[None])
+    expected = alone.evaluate(parameters.nominal[None])
+    torch.testing.assert_close(total.information, expected.information)
+    torch.testing.assert_close(total.cost, expected.cost)
 
 
 def test_the_prior_pulls_towards_the_nominal_pose():

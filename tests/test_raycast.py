@@ -115,6 +115,17 @@ def test_a_pixel_across_an_upright_silhouette_is_weighted_by_area(column: float)
     np.testing.assert_array_equal(share, 1.0)
 
 
+def test_nothing_returns_from_beyond_the_limits():
+    """An upright silhouette: what is too near or too far is left out of the mean."""
+    meshes = [wall(lambda x, y: 1.0, x=(-10.0, 0.0)), wall(lambda x, y: 4.0)]
+    covered = np.clip(CAMERA.cx + 0.5 - np.arange(CAMERA.width), 0.0, 1.0)
+    for near, far, depth, expected in ((0.5, 3.0, 1.0, covered), (2.0, 9.0, 4.0, 1.0 - covered)):
+        scene = raycast.view(meshes, AT_ORIGIN, near=near, far=far)
+        mean, share = raycast.pixel_means(scene, CAMERA)
+        np.testing.assert_allclose(share, np.broadcast_to(expected, share.shape), atol=ONE_SAMPLE)
+        np.testing.assert_allclose(mean[share > 0], depth, atol=DOUBLE)
+
+
 def test_a_turned_silhouette_covers_the_area_that_it_encloses():
     angle = np.radians(20.0)  # along none of the lattice's own lines
     corners = np.array([(-0.2, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.2, 0.15)])

@@ -172,6 +172,17 @@ def test_large_sharp_images_are_averaged_to_the_limit():
     assert observation.range.numel() / factor**2 <= FINE_PIXELS
 
 
+def test_frames_that_measured_nothing_do_not_make_the_others_coarser():
+    one = observed(1000, 800, beam=1)
+    ranges, measured, sigma = (
+        each.expand(4, -1, -1) for each in (one.range, one.measured, one.sigma)
+    )
+    four = replace(one, range=ranges, measured=measured, sigma=sigma)
+    others = torch.tensor([True, False, True, True])[:, None, None].expand_as(measured)
+    assert fine_factor(four) == 2
+    assert fine_factor(one) == fine_factor(four.without(others)) == 1
+
+
 def observed(width: int, height: int, beam: int):
     """An image of one value."""
     projection = Pinhole(width=width, height=height, fx=500.0, fy=500.0, cx=0.0, cy=0.0)

@@ -55,35 +55,17 @@ class Mechanism:
             Ts_centre_object=se3.inverse(_centres(scene, slots.objects)).to(job.T_world_base),
         )
 
-    def sensor_poses(
-        self, state: Float[Tensor, "*batch slot 4 4"]
-    ) -> Float[Tensor, "*batch frame 4 4"]:
-        """``Ts_world_sensor`` of all frames."""
-        base, mount = state[..., None, BASE, :, :], state[..., None, MOUNT, :, :]
-        frames = len(self.Ts_first_frame)
-        if self.standing:
-            poses = mount.expand(*state.shape[:-3], frames, 4, 4)
-        elif self.carrier is None:
-            poses = base @ self.Ts_first_frame @ mount
-        else:
-            poses = base @ self._links(state)[..., self.carrier, :, :] @ mount
-        own = state[..., self.slots.of_frames, :, :]
-        return poses @ own if self.slots.frames else poses
-
-    def bodies(
-        self, state: Float[Tensor, "*batch slot 4 4"]
-    ) -> Float[Tensor, "*batch frame body 4 4"]:
-        """``Ts_world_body`` of all frames and bodies."""
-        shape = (*state.shape[:-3], len(self.Ts_first_frame), *self.Ts_world_body.shape)
-        poses = self.Ts_world_body.expand(shape).clone()
-        moving = self.link >= 0
-        if moving.any():
-            links = self._links(state)[..., self.link[moving], :, :]
-            poses[..., moving, :, :] = state[..., None, None, BASE, :, :] @ links
-        if self.slots.objects:
-            centres = state[..., None, self.slots.of_objects, :, :]
-            poses[..., list(self.slots.objects), :, :] = centres @ self.Ts_centre_object
-        return poses
+    def at(self, state: Float[Tensor, "*batch slot 4 4"]) -> "Placed":
+        """Everything in its place at a state."""
+        links = None
+        if self.robot is not None:
+            links = self.robot.forward_kinematics(self._joint_values(state))
+        return Placed(
+            mechanism=self,
+            state=state,
+            Ts_base_link=links,
+            Ts_world_sensor=self._sensor_poses(state, links),
+        )
 
     @property
     def moving_alike(self) -> Int[Tensor, " body"]:
@@ -94,57 +76,88 @@ class Mechanism:
             group[body] = -2 - place
         return (group[:, None] == group).int().argmax(1)
 
-    def sensor_twists(
-        self, state: Float[Tensor, "*batch slot 4 4"], frame: int
-    ) -> Float[Tensor, "*batch 6 twist"]:
-        """How a frame's sensor moves: twist on its left, in the world, for the slots' twists."""
-        sensor = se3.adjoint(self.sensor_poses(state)[..., frame, :, :])
-        twists = sensor.new_zeros(*state.shape[:-2], 6, 6)
-        twists[..., MOUNT, :, :] = sensor
-        if self.slots.frames:
-            twists[..., self.slots.of_frames.start + frame, :, :] = sensor
-        if not self.standing:
-            twists[..., BASE, :, :] = se3.adjoint(state[..., BASE, :, :])
-        if self.carrier is not None:
-            by_joints = self._joint_twists(state, frame)[..., self.carrier, :, :]
-            twists[..., self.slots.of_joints, :, 0] = by_joints.mT
-        return twists.movedim(-3, -2).flatten(-2)
-
-    def body_twists(
-        self, state: Float[Tensor, "*batch slot 4 4"], frame: int
-    ) -> Float[Tensor, "*batch body 6 twist"]:
-        """The same for every body."""
-        shape = (*state.shape[:-3], len(self.link), self.slots.count, 6, 6)
-        twists = state.new_zeros(shape)
-        moving = (self.link >= 0).nonzero()[:, 0]
-        if len(moving):
-            twists[..., moving, BASE, :, :] = se3.adjoint(state[..., None, BASE, :, :])
-        if len(moving) and self.slots.joints:
-            by_joints = self._joint_twists(state, frame)[..., self.link[moving], :, :]
-            for place, column in enumerate(range(*self.slots.of_joints.indices(shape[-3]))):
-                twists[..., moving, column, :, 0] = by_joints[..., place]
-        first = self.slots.of_objects.start
-        for place, body in enumerate(self.slots.objects):
-            own = se3.adjoint(state[..., first + place, :, :])
-            twists[..., body, first + place, :, :] = own
-        return twists.movedim(-3, -2).flatten(-2)
-
-    def _links(self, state: Tensor) -> Float[Tensor, "*batch frame link 4 4"]:
-        """``Ts_base_link`` of all frames."""
-        assert self.robot is not None, "only robots have links"
-        return self.robot.forward_kinematics(self._joint_values(state))
-
     def _joint_values(self, state: Tensor) -> Float[Tensor, "*batch frame joint"]:
         offsets = state.new_zeros(*state.shape[:-3], self.joints.shape[-1])
         offsets[..., list(self.slots.joints)] = state[..., self.slots.of_joints, 0, 3]
         return self.joints + offsets[..., None, :]
 
-    def _joint_twists(self, state: Tensor, frame: int) -> Float[Tensor, "*batch link 6 joint"]:
+    def _sensor_poses(self, state: Tensor, links: Tensor | None) -> Tensor:
+        base, mount = state[..., None, BASE, :, :], state[..., None, MOUNT, :, :]
+        if self.standing:
+            poses = mount.expand(*state.shape[:-3], len(self.Ts_first_frame), 4, 4)
+        elif self.carrier is None or links is None:
+            poses = base @ self.Ts_first_frame @ mount
+        else:
+            poses = base @ links[..., self.carrier, :, :] @ mount
+        own = state[..., self.slots.of_frames, :, :]
+        return poses @ own if self.slots.frames else poses
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Placed:
+    """Where sensor and bodies are at a state, and how they move from there."""
+
+    mechanism: Mechanism
+    state: Float[Tensor, "*batch slot 4 4"]
+    Ts_base_link: Float[Tensor, "*batch frame link 4 4"] | None
+    """None without a robot."""
+    Ts_world_sensor: Float[Tensor, "*batch frame 4 4"]
+
+    @property
+    def Ts_world_body(self) -> Float[Tensor, "*batch frame body 4 4"]:
+        """Of all frames and bodies."""
+        mechanism, state = self.mechanism, self.state
+        standing = mechanism.Ts_world_body
+        poses = standing.expand(*self.Ts_world_sensor.shape[:-2], *standing.shape).clone()
+        moving = mechanism.link >= 0
+        if self.Ts_base_link is not None and moving.any():
+            links = self.Ts_base_link[..., mechanism.link[moving], :, :]
+            poses[..., moving, :, :] = state[..., None, None, BASE, :, :] @ links
+        if mechanism.slots.objects:
+            centres = state[..., None, mechanism.slots.of_objects, :, :]
+            poses[..., list(mechanism.slots.objects), :, :] = centres @ mechanism.Ts_centre_object
+        return poses
+
+    def sensor_twists(self, frame: int) -> Float[Tensor, "*batch 6 twist"]:
+        """How a frame's sensor moves: twist on its left, in the world, for the slots' twists."""
+        slots, state = self.mechanism.slots, self.state
+        sensor = se3.adjoint(self.Ts_world_sensor[..., frame, :, :])
+        twists = sensor.new_zeros(*state.shape[:-2], 6, 6)
+        twists[..., MOUNT, :, :] = sensor
+        if slots.frames:
+            twists[..., slots.of_frames.start + frame, :, :] = sensor
+        if not self.mechanism.standing:
+            twists[..., BASE, :, :] = se3.adjoint(state[..., BASE, :, :])
+        if self.mechanism.carrier is not None and slots.joints:
+            by_joints = self._joint_twists(frame)[..., self.mechanism.carrier, :, :]
+            twists[..., slots.of_joints, :, 0] = by_joints.mT
+        return twists.movedim(-3, -2).flatten(-2)
+
+    def body_twists(self, frame: int) -> Float[Tensor, "*batch body 6 twist"]:
+        """The same for every body."""
+        slots, link, state = self.mechanism.slots, self.mechanism.link, self.state
+        twists = state.new_zeros(*state.shape[:-3], len(link), slots.count, 6, 6)
+        moving = (link >= 0).nonzero()[:, 0]
+        if len(moving):
+            twists[..., moving, BASE, :, :] = se3.adjoint(state[..., None, BASE, :, :])
+        if len(moving) and slots.joints:
+            by_joints = self._joint_twists(frame)[..., link[moving], :, :]
+            for place, column in enumerate(range(*slots.of_joints.indices(slots.count))):
+                twists[..., moving, column, :, 0] = by_joints[..., place]
+        first = slots.of_objects.start
+        for place, body in enumerate(slots.objects):
+            own = se3.adjoint(state[..., first + place, :, :])
+            twists[..., body, first + place, :, :] = own
+        return twists.movedim(-3, -2).flatten(-2)
+
+    def _joint_twists(self, frame: int) -> Float[Tensor, "*batch link 6 joint"]:
         """How the links of a frame move with the unknown offsets: twists in the world."""
-        assert self.robot is not None, "only robots have joints"
-        links = self.robot.forward_kinematics(self._joint_values(state)[..., frame, :])
-        twists = self.robot.jacobians(links)[..., list(self.slots.joints)]
-        return se3.adjoint(state[..., None, BASE, :, :]) @ twists
+        robot = self.mechanism.robot
+        assert robot is not None, "only robots have joints"
+        assert self.Ts_base_link is not None, "only robots have links"
+        twists = robot.jacobians(self.Ts_base_link[..., frame, :, :, :])
+        in_world = se3.adjoint(self.state[..., None, BASE, :, :]) @ twists
+        return in_world[..., list(self.mechanism.slots.joints)]
 
 
 def centre_of(scene: Scene, body: int) -> Float[Tensor, "3"]:

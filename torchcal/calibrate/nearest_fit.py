@@ -89,7 +89,7 @@ class NearestFit:
     def _correspondences(self, states: Tensor) -> tuple[Tensor, Tensor]:
         """Distances (m) along the normals of the nearest patches, and what predicts them."""
         poses = self.parameters.bodies_in_sensor(states)
-        motions = [self.parameters.motion(states, k) for k in range(len(self.points))]
+        motions = list(self.parameters.motions(states, range(len(self.points))))
         shape = (len(states), *self.points.shape[:2])
         best = self.points.new_full(shape, torch.inf)
         error = self.points.new_zeros(shape)

@@ -5,7 +5,7 @@ a robot the base is the first frame's sensor pose and the mount is the identity,
 T_k = T_1 exp(xi) T_1^-1 T_k falls out of the same product.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchcal.calibrate.mechanism import Mechanism, centre_of
+from torchcal.calibrate.mechanism import Mechanism, Placed, centre_of
 from torchcal.calibrate.slots import BASE, MOUNT, Slots
 from torchcal.geometry import se3
 from torchcal.model.job import Job, PosePrior
@@ -85,24 +85,33 @@ class Parameters:
         self, state: Float[Tensor, "*batch slot 4 4"]
     ) -> Float[Tensor, "*batch frame 4 4"]:
         """``Ts_world_sensor`` of all frames."""
-        return self.mechanism.sensor_poses(state)
+        return self.mechanism.at(state).Ts_world_sensor
 
     def bodies_in_sensor(
         self, state: Float[Tensor, "*batch slot 4 4"]
     ) -> Float[Tensor, "*batch frame body 4 4"]:
         """``Ts_sensor_body`` of all frames and bodies."""
-        T_sensor_world = se3.inverse(self.sensor_poses(state))[..., :, None, :, :]
-        return T_sensor_world @ self.mechanism.bodies(state)
+        placed = self.mechanism.at(state)
+        return se3.inverse(placed.Ts_world_sensor)[..., None, :, :] @ placed.Ts_world_body
 
     def motion(
         self, state: Float[Tensor, "*batch slot 4 4"], frame: int
     ) -> Float[Tensor, "*batch body 6 active"]:
         """How each body moves in a frame's sensor: left twist per unit of the active parameters."""
-        T_sensor_world = se3.inverse(self.sensor_poses(state)[..., frame, :, :])
-        sensor = self.mechanism.sensor_twists(state, frame)[..., None, :, :]
-        moved = self.mechanism.body_twists(state, frame) - sensor
-        turned = se3.adjoint(T_sensor_world)[..., None, :, :] @ moved
-        return turned @ self.columns[:, self.active(frame)]
+        return self._motion(self.mechanism.at(state), frame)
+
+    def motions(
+        self, state: Float[Tensor, "*batch slot 4 4"], frames: Iterable[int]
+    ) -> Iterator[Float[Tensor, "*batch body 6 active"]]:
+        """The same of several frames, one by one: what they share is worked out once."""
+        placed = self.mechanism.at(state)
+        return (self._motion(placed, frame) for frame in frames)
+
+    def _motion(self, placed: Placed, frame: int) -> Tensor:
+        T_sensor_world = se3.inverse(placed.Ts_world_sensor[..., frame, :, :])
+        sensor = placed.sensor_twists(frame)[..., None, :, :]
+        turned = se3.adjoint(T_sensor_world)[..., None, :, :]
+        return turned @ (placed.body_twists(frame) - sensor) @ self.columns[:, self.active(frame)]
 
     def active(self, frame: int) -> Int[Tensor, " active"]:
         """The parameters that a frame's image may depend on: all but errors of other frames."""
@@ -115,10 +124,10 @@ class Parameters:
         self, state: Float[Tensor, "*batch slot 4 4"]
     ) -> Float[Tensor, "*batch frame 6 parameter"]:
         """Twist on the right of each ``T_world_sensor`` per unit of each parameter."""
-        poses = self.sensor_poses(state)
-        frames = range(poses.shape[-3])
-        left = torch.stack([self.mechanism.sensor_twists(state, k) for k in frames], -3)
-        return se3.adjoint(se3.inverse(poses)) @ left @ self.columns
+        placed = self.mechanism.at(state)
+        frames = range(placed.Ts_world_sensor.shape[-3])
+        left = torch.stack([placed.sensor_twists(k) for k in frames], -3)
+        return se3.adjoint(se3.inverse(placed.Ts_world_sensor)) @ left @ self.columns
 
     @property
     def object_jacobians(self) -> Float[Tensor, "object 6 parameter"]:

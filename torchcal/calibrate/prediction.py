@@ -1,6 +1,6 @@
 """What the sensor should measure in every frame (eq. 2) with its own errors, and H of eq. 4."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -34,12 +34,23 @@ def predictions(
     state: Float[Tensor, "slot 4 4"],
     *,
     dtype: torch.dtype,
+    frames: Sequence[int] | None = None,
 ) -> Iterator[Prediction]:
-    """Predicts frame by frame, so that one frame's derivatives are held at a time."""
+    """Predicts frame by frame, so that one frame's derivatives are held at a time.
+
+    Args:
+        surface: The scene's triangles.
+        sensor: What measures them.
+        parameters: What is unknown.
+        state: Where everything is.
+        dtype: Of the images.
+        frames: Which; all if left out.
+    """
     offset, scale = parameters.range_error(state).tolist()
-    for k, poses in enumerate(parameters.bodies_in_sensor(state).to(dtype)):
-        motion = parameters.motion(state, k).to(dtype)
-        synthesis = synthesise(surface, poses, sensor, motion)
+    Ts_sensor_body = parameters.bodies_in_sensor(state).to(dtype)
+    frames = range(len(Ts_sensor_body)) if frames is None else frames
+    for k, motion in zip(frames, parameters.motions(state, frames), strict=True):
+        synthesis = synthesise(surface, Ts_sensor_body[k], sensor, motion.to(dtype))
         assert synthesis.jacobian is not None, "a motion was given"
         active = parameters.active(k)
         measured = offset + (1.0 + scale) * synthesis.range

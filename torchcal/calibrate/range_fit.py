@@ -18,6 +18,11 @@ from torchcal.solve.image_equations import RobustImage, normal_equations, robust
 
 FILLED = 0.75
 """Share of the beam that must meet the model before a pixel is compared."""
+INSIDE = 3.0
+"""Standard deviations of a pixel's noise that its range must lie within the sensor's limits: nearer
+to them the noise decides what is measured, and what is measured is not the range on average."""
+UNDECIDED = 0.5
+"""Cost of a pixel nearer to the limits: that of one which agrees, on average."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,8 +38,8 @@ class FrameResidual:
     """Derivative of what is predicted."""
     active: Int[Tensor, " active"]
     """The parameters of ``jacobian``; the image does not depend on others."""
-    missed: int
-    """Measured pixels where the model is empty."""
+    uncompared: Float[Tensor, "h w"]
+    """Cost of what is measured and not compared; 0 elsewhere."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,24 +67,47 @@ class RangeFit:
 
     def residuals(self, state: Float[Tensor, "slot 4 4"]) -> Iterator[FrameResidual]:
         """Residuals frame by frame, so that one frame's derivatives are held at a time."""
-        sensor, dtype = self.observation.sensor, self.observation.range.dtype
-        frames = predictions(self.surface, sensor, self.parameters, state, dtype=dtype)
-        for k, prediction in enumerate(frames):
-            yield self._frame_residual(k, prediction)
+        sensor, like = self.observation.sensor, self.observation.range
+        measured = self.observation.measured.flatten(1).any(1).tolist()
+        frames = [k for k, any_pixel in enumerate(measured) if any_pixel]
+        predicted = predictions(
+            self.surface, sensor, self.parameters, state, dtype=like.dtype, frames=frames
+        )
+        for k, any_pixel in enumerate(measured):
+            yield self._frame_residual(k, next(predicted)) if any_pixel else self._nothing(k)
 
     def _frame_residual(self, k: int, prediction: Prediction) -> FrameResidual:
-        observation = self.observation
+        observation, sensor = self.observation, self.observation.sensor
         finite = prediction.range.isfinite() & prediction.jacobian.isfinite().all(-1)
-        filled = prediction.synthesis.coverage > FILLED
-        compared = observation.measured[k] & filled & finite
-        residual = torch.where(compared, observation.range[k] - prediction.range, 0.0)
+        modelled = finite & (prediction.synthesis.coverage > FILLED)
+        margin = INSIDE * sensor.noise.sigma(prediction.range)
+        inside = (prediction.range > sensor.near + margin) & (
+            prediction.range < sensor.far - margin
+        )
+        compared = observation.measured[k] & modelled & inside
+        # A pixel that the model leaves empty explains no more than one beyond the cut-off.
+        empty = self.cutoff**2 / 6.0
+        cost = empty + (UNDECIDED - empty) * modelled.double()
         return FrameResidual(
-            residual=residual,
+            residual=torch.where(compared, observation.range[k] - prediction.range, 0.0),
             compared=compared,
             sigma=observation.sigma[k] * self.sigma_scale,
             jacobian=torch.where(compared[..., None], prediction.jacobian, 0.0),
             active=prediction.active,
-            missed=int((observation.measured[k] & ~compared).sum()),
+            uncompared=torch.where(observation.measured[k] & ~compared, cost, 0.0),
+        )
+
+    def _nothing(self, k: int) -> FrameResidual:
+        """Of a frame in which nothing was measured: nothing needs to be predicted."""
+        none = torch.zeros_like(self.observation.range[k])
+        active = self.parameters.active(k)
+        return FrameResidual(
+            residual=none,
+            compared=self.observation.measured[k],
+            sigma=self.observation.sigma[k] * self.sigma_scale,
+            jacobian=none[..., None].expand(*none.shape, len(active)),
+            active=active,
+            uncompared=none.double(),
         )
 
     def equations(
@@ -90,11 +118,9 @@ class RangeFit:
         for frame in frames:
             image = self.separate(frame)
             information, gradient = normal_equations(image, frame.jacobian)
-            # A pixel that the model leaves empty explains no more than one beyond the cut-off.
-            missed = frame.missed * self.cutoff**2 / 6.0
             count = len(self.parameters.names)
             total = NormalEquations(
-                cost=total.cost + image.cost + missed,
+                cost=total.cost + image.cost + frame.uncompared.sum(),
                 information=total.information + embedded(information, frame.active, count),
                 gradient=total.gradient.index_add(1, frame.active, gradient[None]),
             )

@@ -20,8 +20,9 @@ from torchcal.solve.field import SPACING
 from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, covariance, minimise, shared
 from torchcal.solve.image_equations import blockwise_scatter
 
-FINE_PIXELS = 600_000
-"""Pixels of all frames together in the final fit of a sharp sensor; more are averaged in blocks."""
+FINE_PIXELS = 800_000
+"""Pixels of all frames that measured something, together, in the final fit of a sharp sensor; more
+are averaged in blocks."""
 RIPPLE = 0.005
 """Share of the cost that pixels changing from face to face may add in an accepted step."""
 ITERATIONS = 10
@@ -59,7 +60,7 @@ def fine_factor(observation: Observation) -> int:
     """Block size of the final resolution: 1 for wide beams, whose box must be kept exactly."""
     if observation.sensor.beam > 1:
         return 1
-    pixels = observation.range.numel()
+    pixels = observation.range[0].numel() * int(observation.measured.flatten(1).any(1).sum())
     return next(f for f in itertools.count(1) if pixels <= FINE_PIXELS * f * f)
 
 

@@ -49,17 +49,16 @@ def explains_as_well(
 
 def _looked(fit: RangeFit, state: Tensor) -> _Look:
     frames = list(fit.residuals(state))
-    residual, compared, sigma = (
+    residual, compared, sigma, uncompared = (
         torch.stack([getattr(frame, name) for frame in frames])
-        for name in ("residual", "compared", "sigma")
+        for name in ("residual", "compared", "sigma", "uncompared")
     )
     rho = robust.biweight_cost((residual / sigma).double(), fit.cutoff)
-    missed = torch.where(fit.observation.measured, fit.cutoff**2 / 6.0, 0.0)
     parameters = fit.parameters
     off = parameters.difference(state, parameters.nominal) / parameters.prior_sigma
     return _Look(
         residual=residual,
         compared=compared,
-        rho=torch.where(compared, rho, missed),
+        rho=torch.where(compared, rho, uncompared),
         prior=0.5 * off.square().sum(),
     )

@@ -12,7 +12,7 @@ from torchcal.demo.recording import JOINTS, LINK, POSTURES, SENSOR, nominal_T_wo
 from torchcal.demo.robots import robot_folder
 from torchcal.errors import TorchcalError, choices
 from torchcal.geometry import se3
-from torchcal.model.job import Frame, Job, PosePrior
+from torchcal.model.job import Frame, Job, PosePrior, RangePrior
 from torchcal.model.range_image import RangeImage
 from torchcal.model.read_sensor import preset_sensor
 from torchcal.model.robot import Robot, load_robot
@@ -29,6 +29,8 @@ CLEARANCE = 0.05
 MAST_POSITIONS = 20
 ROVER_AT = (-1.3, 0.9, 0.4)
 """m, m, rad: where the rover stands in the cell and how far it is turned."""
+READS = {"range.offset": 0.005, "range.scale": 0.01}
+"""m, and a share: how much too far a wrong sensor reads."""
 
 
 def job_of(what: str, side: int) -> Job:
@@ -55,12 +57,22 @@ def job_of(what: str, side: int) -> Job:
         "sharp-objects": lambda: replace(
             _sharp(arm_job(side)), objects=dict.fromkeys(MOVED_OBJECTS, MOVED)
         ),
+        "range": lambda: replace(
+            arm_job(side),
+            base=prior(0.05, 2.0),
+            range=RangePrior(offset_sigma=0.01, scale_sigma=0.01),
+        ),
         "rover-laser": lambda: rover_job("laser-scanner"),
         "rover-sonar": lambda: rover_job("ultrasonic-array"),
     }
     if what not in jobs:
         raise TorchcalError(f"found {what!r}; expected {choices(jobs)}")
     return jobs[what]()
+
+
+def not_drawn(what: str) -> dict[str, float]:
+    """The parameters that have the same true value in all trials of one of the settings."""
+    return READS if what == "range" else {}
 
 
 def prior(position: float, degrees: float) -> PosePrior:

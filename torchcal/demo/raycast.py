@@ -4,6 +4,7 @@ Embree finds which triangle a ray meets, in single precision and without gaps al
 where on the triangle's plane is then worked out in double precision.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -54,10 +55,19 @@ class View:
     """Not normalised."""
     embree: Any
     """Embree's own scene: it has no published type."""
+    near: float
+    """Of a ray that meets a triangle nearer than this or farther than ``far`` nothing returns."""
+    far: float
 
 
-def view(meshes: Sequence[trimesh.Trimesh], T_world_sensor: Float[ndarray, "4 4"]) -> View:
-    """Prepares meshes (m, world frame) for rays from the origin of a sensor.
+def view(
+    meshes: Sequence[trimesh.Trimesh],
+    T_world_sensor: Float[ndarray, "4 4"],
+    *,
+    near: float = 0.0,
+    far: float = math.inf,
+) -> View:
+    """Prepares meshes (m, world frame) for rays from the origin of a sensor with these limits.
 
     Raises:
         TorchcalError: If Embree is not installed.
@@ -69,6 +79,8 @@ def view(meshes: Sequence[trimesh.Trimesh], T_world_sensor: Float[ndarray, "4 4"
         triangles=triangles,
         normals=np.cross(sides[:, 0], sides[:, 1]),
         embree=_embree_scene(triangles),
+        near=near,
+        far=far,
     )
 
 
@@ -88,8 +100,11 @@ def cast(
     single = np.where(face >= 0, hits["tfar"].astype(np.float64), np.nan)
     ranges = plane_ranges(scene, face, flat)
     exact = np.abs(ranges - single) <= SINGLE_PRECISION * single
+    ranges = np.where(exact, ranges, single)
+    returned = (ranges >= scene.near) & (ranges <= scene.far)
     shape = rays.shape[:-1]
-    return np.where(exact, ranges, single).reshape(shape), face.reshape(shape)
+    ranges, face = np.where(returned, ranges, np.nan), np.where(returned, face, -1)
+    return ranges.reshape(shape), face.reshape(shape)
 
 
 def plane_ranges(

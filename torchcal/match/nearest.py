@@ -36,8 +36,8 @@ class Patches:
         Infinite and 0 for queries that are not finite, and for all where there is no patch.
         """
         flat = queries.reshape(-1, 3).cpu().numpy()
-        missing = ~np.isfinite(flat)
-        distance, index = self.tree.query(np.where(missing, 0.0, flat), workers=-1)
+        missing, threads = ~np.isfinite(flat), torch.get_num_threads()
+        distance, index = self.tree.query(np.where(missing, 0.0, flat), workers=threads)
         distance = np.where(missing.any(1), np.inf, distance)
         index = np.where(np.isfinite(distance), index, 0)
         shape = queries.shape[:-1]

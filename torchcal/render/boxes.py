@@ -1,7 +1,9 @@
-"""Boxes of pixels that faces may cover, and cones about tiles of pixels: both only cull."""
+"""Boxes of pixels that faces may cover, and cones about pixels: both only cull."""
+
+import math
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -12,6 +14,8 @@ CLOSE = 1e-6
 """Corners nearer than this (m) to a pinhole's plane do not bound their face in the image."""
 MARGIN = 1e-3
 """Pixels by which rounding may move a face in a pinhole's image."""
+AROUND = 2e-3
+"""rad: cones are taken as wider by this than rounding makes of them."""
 SPREAD, SLOPE = 0.3, 4.0
 """Longest side (chord of the unit sphere) and steepest elevation (its tangent) of faces that the
 box of their corners bounds in a spherical image."""
@@ -32,7 +36,9 @@ def pixel_boxes(
     low, high = _bounds(torch.cat([projection.pixels(vertices), depth, finite], -1), faces)
     hidden = low[..., 3].isnan()
     if isinstance(projection, Spherical):
-        margin, bounded = _spherical_bounds(vertices[:, faces], projection)
+        corners = vertices[:, faces]
+        margin, bounded = _spherical_bounds(corners, projection)
+        hidden |= are_beside(corners, projection)
     else:
         margin, bounded = MARGIN, low[..., 2] > CLOSE
         hidden |= high[..., 2] <= 0
@@ -68,6 +74,30 @@ def tile_cones(
     return axis, (1.05 * chord).clamp(max=1.0) + 1e-6
 
 
+def are_beside(
+    corners: Float[Tensor, "*batch corner 3"], projection: Spherical
+) -> Bool[Tensor, "*batch"]:
+    """Whether lines or triangles with these corners (m) are wholly outside a cone about the image.
+
+    The directions in which they are seen lie in a cone, too, that holds those of their corners; of
+    those that may be seen over a half of the sphere it is not asked.
+    """
+    rays = normalize(corners, dim=-1)
+    middle = normalize(rays.sum(-2), dim=-1)
+    own = _angle(middle[..., None, :], rays).amax(-1)
+    axis, reach = image_cone(projection, corners)
+    return (own < 0.25 * math.pi) & (_angle(middle, axis) > own + reach + AROUND)
+
+
+def image_cone(
+    projection: Projection, like: Tensor
+) -> tuple[Float[Tensor, "3"], Float[Tensor, ""]]:
+    """The unit axis and half the angle (rad) of a cone that holds the rays of all pixels."""
+    size = torch.tensor([projection.width, projection.height], device=like.device)
+    axis, chord = tile_cones(0 * size - 1, size + 1, projection, like)
+    return axis, torch.where(chord < 1.0, 2.0 * (0.5 * chord).asin(), math.pi)
+
+
 def tiles_of_points(
     squares: Squares, square: Int[Tensor, " point"], projection: Projection, views: int
 ) -> Int[Tensor, "view row column 2"]:
@@ -76,6 +106,11 @@ def tiles_of_points(
     tile = tile_numbers(squares.view, squares.u, squares.v, projection)
     count = tile[square].bincount(minlength=views * rows * columns)
     return torch.stack([count.cumsum(0) - count, count], -1).view(views, rows, columns, 2)
+
+
+def _angle(unit: Tensor, other: Tensor) -> Tensor:
+    """Between unit vectors (rad)."""
+    return (unit * other).sum(-1).clamp(-1, 1).acos()
 
 
 def _bounds(of_vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchcal.geometry.projection import Projection, Spherical
 from torchcal.model.scene import Surface
+from torchcal.render.boxes import are_beside
 from torchcal.render.facets import Facets, dot
 from torchcal.render.soup import Views
 
@@ -69,9 +70,7 @@ def borders_of(views: Views) -> Borders:
 
 def strokes_of(lines: Float[Tensor, "line 2 3"], projection: Projection) -> Strokes:
     """The strokes of lines between two points (m) that may cross the image."""
-    first, last = lines.unbind(1)
-    cut = _split if isinstance(projection, Spherical) else _clip
-    first, last, line = cut(first, last, projection)
+    first, last, line = (_split if isinstance(projection, Spherical) else _clip)(lines, projection)
     start, end = projection.pixels(first), projection.pixels(last)
     margin = 2.0 * (projection.pixels(first + last) - 0.5 * (start + end)).norm(dim=-1) + 1e-6
     if not isinstance(projection, Spherical):
@@ -115,8 +114,9 @@ def _reaches_image(start: Tensor, end: Tensor, margin: Tensor, projection: Proje
     return inside
 
 
-def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, Tensor]:
+def _clip(lines: Tensor, _: Projection) -> tuple[Tensor, Tensor, Tensor]:
     """The parts of edges before a pinhole."""
+    first, last = lines.unbind(1)
     border = torch.nonzero((first[:, 2] > CLOSE) | (last[:, 2] > CLOSE))[:, 0]
     first, last = first[border], last[border]
 
@@ -127,9 +127,11 @@ def _clip(first: Tensor, last: Tensor, _: Projection) -> tuple[Tensor, Tensor, T
     return pulled(first, last), pulled(last, first), border
 
 
-def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
+def _split(lines: Tensor, projection: Projection) -> tuple[Tensor, Tensor, Tensor]:
     """Edges cut into strokes of at most ``ARC`` pixels, by directions: their length is free."""
     assert isinstance(projection, Spherical)
+    near = torch.nonzero(~are_beside(lines, projection))[:, 0]
+    first, last = lines[near].unbind(1)
     step = min(abs(projection.azimuth_step), abs(projection.elevation_step)) or 1.0
     a, b = (torch.nn.functional.normalize(end, dim=-1) for end in (first, last))
     # Equal lengths on the chord are unequal angles: they are widest where it is nearest.
@@ -142,4 +144,4 @@ def _split(first: Tensor, last: Tensor, projection: Projection) -> tuple[Tensor,
         """On the chord; a stroke ends, to the last bit, where the next one starts."""
         return a[border] + (order / count[border])[:, None].to(a) * (b - a)[border]
 
-    return place(order), place(order + 1), border
+    return place(order), place(order + 1), near[border]
