@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.anywhere import without_prior
 from torchcal.calibrate.foresight import expected_covariance, foreseen_covariance, next_view
 from torchcal.calibrate.observability import unobservable_directions
 from torchcal.calibrate.observation import coarse_factor, coarser, observe
@@ -11,6 +12,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene, predict
 from torchcal.calibrate.result import Foresight, FrameCheck, JobCheck, ParameterCheck
 from torchcal.model.job import Frame, Job
+from torchcal.model.precision import job_in_double
 
 FEW = 0.05
 """A smaller share of measured pixels, or of the model in them, is worth a warning."""
@@ -20,6 +22,7 @@ UNITS = 3.0
 
 def check(job: Job) -> JobCheck:
     """What a job holds and what its images can tell of the unknowns, at the nominal pose."""
+    job = without_prior(job_in_double(job))
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     predictions = predict(job)
@@ -44,6 +47,7 @@ def foresee(job: Job, *, generator: torch.Generator) -> Foresight:
         job: Its images are not looked at.
         generator: Draws configurations for the next view; on the CPU.
     """
+    job = without_prior(job_in_double(job))
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     P = foreseen_covariance(job, scene, parameters, parameters.nominal)

@@ -17,6 +17,12 @@ from torchcal.model.robot import JointMotion, Robot
 from torchcal.model.urdf_reader import read_xml
 
 SENSOR_LINK = "torchcal_sensor"
+VALUES = {
+    "limit": {"lower", "upper"},
+    "safety_controller": {"soft_lower_limit", "soft_upper_limit"},
+    "calibration": {"rising", "falling"},
+}
+"""Attributes of a joint's parts that are values of the joint: they move with its zero."""
 
 
 def write_urdf(
@@ -30,7 +36,8 @@ def write_urdf(
 ) -> None:
     """Writes the robot's URDF with where its base stands, its joints are 0 and its sensor is.
 
-    The tree stays as it was, and limits move with the zero of their joint. New are a root link
+    The tree stays as it was, and limits, soft limits and reference positions move with the zero of
+    their joint. New are a root link
     ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the old root, and
     a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files are copied to
     ``meshes`` beside the file, with the materials and images that they name.
@@ -73,7 +80,7 @@ def write_urdf(
 
 
 def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
-    """Puts an offset into the origin of the joint above a link, and takes it out of its limits."""
+    """Puts an offset into the origin of the joint above a link, and takes it out of its values."""
     joint = next(joint for joint in root.findall("joint") if _child(joint) == child)
     origin = joint.find("origin")
     if origin is None:
@@ -83,10 +90,14 @@ def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
         for key in ("xyz", "rpy")
     )
     _set_origin(origin, se3.from_xyz_rpy(xyz, rpy) @ motion.T)
-    limits = [] if joint.get("type") == "continuous" else joint.findall("limit")
-    for limit in limits:
-        for key in ("lower", "upper"):
-            limit.set(key, f"{float(limit.get(key, '0')) - motion.value:.17g}")
+    if joint.get("type") != "continuous":
+        for limit in joint.findall("limit"):
+            for key in ("lower", "upper"):
+                limit.set(key, limit.get(key, "0"))  # 0 if left out
+    for tag, keys in VALUES.items():
+        for element in joint.findall(tag):
+            for key in keys & element.keys():
+                element.set(key, f"{float(element.get(key, '0')) - motion.value:.17g}")
 
 
 def _child(joint: ET.Element) -> str | None:
