@@ -49,6 +49,9 @@ LOOKS = 4
 SLOW_PIXELS = 30.0
 """Over about so many pixels the range errors of real cameras are alike. The residuals of a single
 frame show less, because its own fit takes up what varies most slowly."""
+LARGEST_SLOW = 1.0
+"""Most of that error, in the declared sigma of a pixel: a single frame must not be believed more
+than it deserves, and no comparison is made with it that a wrong model could hide from."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -155,12 +158,7 @@ class FrameFit:
         return Trust(sigma_scale=fit.sigma_scale, drift=fit.drift, share=share)
 
     def _with_noise(self, fit: RangeFit, state: Tensor) -> RangeFit:
-        fit = with_noise(fit, state, self.side, shortest=SLOW_PIXELS)
-        if fit.observation.sensor.noise.drift is not None or fit.drift is None:
-            return fit
-        # What the means of blocks hold beyond the sensor's own sigma is alike within a block, and
-        # so not independent from block to block: the share of the information makes up for it.
-        return replace(fit, sigma_scale=min(fit.sigma_scale, 1.0))
+        return with_noise(fit, state, self.side, largest=LARGEST_SLOW, shortest=SLOW_PIXELS)
 
     def trusting(self, trust: Trust) -> "FrameFit":
         """The same with another noise."""

@@ -1,7 +1,7 @@
 """Writing the corrected URDF. Reading is in ``torchcal.model.urdf_reader``."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import torch
@@ -17,12 +17,11 @@ from torchcal.model.robot import JointMotion, Robot
 from torchcal.model.urdf_reader import read_xml
 
 SENSOR_LINK = "torchcal_sensor"
-VALUES = {
-    "limit": {"lower", "upper"},
-    "safety_controller": {"soft_lower_limit", "soft_upper_limit"},
-    "calibration": {"rising", "falling"},
+GIVEN_VALUES = {
+    "safety_controller": ("soft_lower_limit", "soft_upper_limit"),
+    "calibration": ("rising", "falling"),
 }
-"""Attributes of a joint's parts that are values of the joint: they move with its zero."""
+"""Values of a joint that say nothing where they are left out."""
 
 
 def write_urdf(
@@ -90,14 +89,18 @@ def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
         for key in ("xyz", "rpy")
     )
     _set_origin(origin, se3.from_xyz_rpy(xyz, rpy) @ motion.T)
+    for element, key in _values(joint):
+        element.set(key, f"{float(element.get(key, '0')) - motion.value:.17g}")
+
+
+def _values(joint: ET.Element) -> Iterator[tuple[ET.Element, str]]:
+    """Attributes of a joint's parts that are values of the joint: they move with its zero."""
     if joint.get("type") != "continuous":
         for limit in joint.findall("limit"):
-            for key in ("lower", "upper"):
-                limit.set(key, limit.get(key, "0"))  # 0 if left out
-    for tag, keys in VALUES.items():
+            yield from ((limit, key) for key in ("lower", "upper"))  # 0 if left out
+    for tag, keys in GIVEN_VALUES.items():
         for element in joint.findall(tag):
-            for key in keys & element.keys():
-                element.set(key, f"{float(element.get(key, '0')) - motion.value:.17g}")
+            yield from ((element, key) for key in keys if key in element.attrib)
 
 
 def _child(joint: ET.Element) -> str | None:
