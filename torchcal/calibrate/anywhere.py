@@ -15,6 +15,7 @@ from torchcal.geometry import se3
 from torchcal.match.image.features import image_features
 from torchcal.model.job import WORLD_LINK, Job, PosePrior
 from torchcal.model.scene import Surface, body_poses, build_scene
+from torchcal.render.synthesis import place_vertices
 
 USABLE = 0.05
 """Share of the pixels that must be measured in a frame before it is used for the search."""
@@ -75,7 +76,7 @@ def without_prior(job: Job) -> Job:
     if job.initial != "anywhere":
         return job
     surface, poses = _standing(job, 0)
-    corners = se3.transform(poses.to(surface.vertices)[surface.vertex_body], surface.vertices)
+    corners = place_vertices(surface, poses.to(surface.vertices))
     sigma = extent(corners.amin(0), corners.amax(0))
     return replace(job, base=PosePrior(sigma=sigma.to(job.T_world_base)))
 
