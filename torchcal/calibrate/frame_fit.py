@@ -49,7 +49,7 @@ LOOKS = 4
 SLOW_PIXELS = 30.0
 """Over about so many pixels the range errors of real cameras are alike. The residuals of a single
 frame show less, because its own fit takes up what varies most slowly."""
-LARGEST_SLOW = 1.0
+LARGEST_SLOW = 2.0
 """Most of that error, in the declared sigma of a pixel: a single frame must not be believed more
 than it deserves, and no comparison is made with it that a wrong model could hide from."""
 
