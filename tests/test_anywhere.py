@@ -1,15 +1,20 @@
 """``initial = "anywhere"``: jobs whose nominal pose says nothing."""
 
+import math
 from dataclasses import replace
 
+import numpy as np
+import pytest
 import recordings
 import scenes
 import torch
 from recordings import EYE, pose, twist
 
-from torchcal.calibrate.anywhere import locate
+from torchcal.calibrate.anywhere import LEAST_SIDE, locate, without_prior
+from torchcal.calibrate.check import check, foresee
 from torchcal.calibrate.pipeline import calibrate
 from torchcal.calibrate.result import Calibration, Status
+from torchcal.errors import TorchcalError
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job
@@ -72,3 +77,39 @@ def test_the_base_of_a_robot_is_found(tmp_path):
     found = answer(told)
     assert found.estimate.status is Status.CONVERGED
     assert float(se3.log(se3.inverse(base) @ found.estimate.T_world_base).norm()) < 0.005
+
+
+def tiny(height: int, width: int) -> Job:
+    """A job whose only image has few pixels."""
+    projection = replace(CAMERA, width=width, height=height)
+    job = recordings.hand_held(recordings.sensor(projection, sigma=0.01), [EYE], error=ASTRAY)
+    return replace(job, initial="anywhere")
+
+
+@pytest.mark.parametrize(("height", "width"), [(6, 8), (1, 640), (15, 640)])
+def test_images_too_small_for_a_search_are_one_clear_error(height, width):
+    with pytest.raises(TorchcalError, match=f"{width} x {height} pixels; expected at least 16 x"):
+        locate(tiny(height, width), torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("beam", [0, 1, 9])
+def test_the_smallest_images_that_can_be_searched_are_searched(beam):
+    job = tiny(LEAST_SIDE, LEAST_SIDE)
+    job = replace(job, sensor=replace(job.sensor, beam=beam))
+    located = locate(job, torch.Generator().manual_seed(0))
+    assert located.Ts_world_base.isfinite().all()
+
+
+def test_without_a_prior_nothing_nominal_is_believed():
+    job = without_prior(hand_held())
+    room = scenes.box((5.0, 4.0, 7.0), (0.2, -0.1, 0.4), (0.05, 0.1, 0.02))
+    diagonal = float(np.linalg.norm(room.extents))
+    expected = torch.tensor([diagonal] * 3 + [math.pi] * 3).double()
+    torch.testing.assert_close(job.base.sigma, expected, rtol=1e-6, atol=0.0)
+    nominal = replace(hand_held(), initial="nominal")
+    assert without_prior(nominal) is nominal
+    for each in (
+        *check(hand_held()).parameters,
+        *foresee(hand_held(), generator=torch.Generator()).parameters,
+    ):
+        assert each.prior_sigma > 3.0  # the job's own are 0.1

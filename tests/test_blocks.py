@@ -9,6 +9,8 @@ from recordings import EYE, pose, prior
 from torch import Tensor
 
 from torchcal.calibrate import calibrate
+from torchcal.calibrate.compare import Belief
+from torchcal.calibrate.estimate import moved_objects
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import Calibration, Status
@@ -79,6 +81,24 @@ def test_an_object_where_the_model_has_it_has_not_moved(arm_job, rng):
     calibration = calibrate(job, generator=rng)
     assert calibration.update.verdicts["crate"].verdict == "agrees"
     assert calibration.estimate.moved == ()
+
+
+def test_an_object_without_a_covariance_is_not_said_to_have_moved(arm_job):
+    """Where the estimate failed, the covariance is NaN."""
+    job = replace(arm_job, objects={"crate": prior(0.05, 0.05), "beam": prior(0.05, 0.05)})
+    parameters = Parameters.of(job, build_job_scene(job))
+    step = torch.ones(len(parameters.names)).double()
+    P = torch.eye(len(step)).double() * 1e-4
+    belief = Belief(
+        state=parameters.retract(parameters.nominal, step),
+        covariance=P,
+        drift_sigma=0.0,
+        drift_pixels=0.0,
+    )
+    assert moved_objects(parameters, belief) == ("crate", "beam")
+    crate = [name.startswith("objects.crate") for name in parameters.names]
+    P[crate] = torch.nan
+    assert moved_objects(parameters, belief) == ("beam",)
 
 
 def test_the_sensors_own_range_error_beside_its_pose(rng):

@@ -113,7 +113,6 @@ def test_an_alarm_in_the_last_frame_is_an_exit_status(folder, tmp_path, capsys):
     [
         (("--shift", "0.1"), "", "expected both"),
         (("--shift", "-1", "--turn-deg", "1"), "", "expected both, 0 or more"),
-        ((), '[search]\ninitial = "anywhere"\n', "anywhere"),
     ],
 )
 def test_mistakes_are_one_line_and_nothing_is_written(

@@ -77,6 +77,21 @@ def test_the_next_view_tells_what_it_promises(job, rng):
     assert found.gain == pytest.approx(float(told), rel=1e-6)
 
 
+def test_the_next_view_is_within_limits_that_moved_with_the_zero(job, rng):
+    """They are moved by more than they are apart: no value is within both."""
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    step = torch.zeros(len(parameters.names)).double()
+    for joint in ("turn", "nod"):
+        step[parameters.names.index(f"joints.{joint}")] = 6.5
+    state = parameters.retract(parameters.nominal, step)
+    found = next_view(job, scene, state, torch.eye(len(step)).double(), rng)
+    assert found is not None
+    joints = torch.tensor(list(found.joints.values()), dtype=torch.float64)
+    low, high = (job.robot.joint_limits - 6.5).unbind(1)
+    assert ((joints >= low) & (joints <= high)).all()
+
+
 def test_the_next_view_tells_more_than_one_that_was_taken(job, rng):
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)

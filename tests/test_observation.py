@@ -9,7 +9,7 @@ import torch
 from recordings import CAMERA, EYE, NO_DRIFT
 from torch import Tensor
 
-from torchcal.calibrate.observation import MASK_MARGIN, Observation, coarser, observe
+from torchcal.calibrate.observation import MASK_MARGIN, Observation, coarser, grown, observe
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job
 from torchcal.model.sensor import Noise, Sensor
@@ -164,3 +164,13 @@ def test_without_takes_pixels_away():
     excluded = torch.zeros(1, 48, 64, dtype=torch.bool)
     excluded[:, :5] = True
     assert torch.equal(observation.without(excluded).measured, ~excluded)
+
+
+@pytest.mark.parametrize("pixels", [0, 1, 2, 3, 5, 8, 40])
+def test_masks_grow_by_a_square(rng, pixels):
+    mask = torch.rand(2, 9, 17, generator=rng) < 0.03
+    near = (mask.nonzero()[:, None] - torch.ones_like(mask).nonzero()).abs()
+    within = (near[..., 0] == 0) & (near[..., 1:].amax(-1) <= pixels)
+    before = mask.clone()
+    torch.testing.assert_close(grown(mask, pixels), within.any(0).view(mask.shape))
+    torch.testing.assert_close(mask, before)

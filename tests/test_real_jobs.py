@@ -8,18 +8,23 @@ import pytest
 import torch
 import trimesh
 from scipy.spatial import KDTree
+from scipy.stats import chi2
 from torch import Tensor
 
+from torchcal.calibrate.follow import follow
 from torchcal.calibrate.pipeline import calibrate
 from torchcal.calibrate.result import Calibration, Status
+from torchcal.calibrate.tracked import TrackStatus
 from torchcal.geometry import se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Frame, Job
-from torchcal.model.read_job import read_job
+from torchcal.model.read_job import read_job, read_recording
 from torchcal.model.robot import Robot
 
 JOBS = Path(__file__).resolve().parents[2] / "shared" / "jobs"
 DEGREE = float(np.radians(1.0))
+WITHIN = float(chi2.ppf(0.997, 6))
+"""Square of the Mahalanobis distance that 99.7 % of honest estimates do not exceed."""
 SAMPLES = 300_000
 """On the robot's surface: one for each 2 mm square."""
 EVERY = 7
@@ -136,3 +141,26 @@ def test_measured_depth_lies_on_the_arm(lbr_med7):
         normals = surface.face_normals[faces[nearest]]
         distances.append(np.abs(((measured - points[nearest]) * normals).sum(1)))
     assert np.median(np.concatenate(distances)) <= 0.006
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "reference"),
+    [
+        ("arc_bin", "T_world_sensor", (0.0, 0.0)),
+        ("lbr_med7", "T_world_sensor_reference", (0.01, 0.5 * DEGREE)),
+    ],
+)
+def test_truth_is_inside_the_ellipsoid_of_every_tracked_frame(name, key, reference):
+    file = JOBS / name / "job.toml"
+    if not file.is_file():
+        pytest.skip(f"needs the real recording {file}")
+    truth = truth_of(name, key)
+    own = torch.tensor([reference[0]] * 3 + [reference[1]] * 3, dtype=torch.float64)
+    for tracked in follow(read_recording(file), generator=torch.Generator().manual_seed(0)):
+        xi = se3.log(se3.inverse(tracked.T_world_sensor) @ truth)
+        P = tracked.pose_covariance + own.square().diag()
+        assert tracked.status == TrackStatus.TRACKING
+        assert not tracked.alarm
+        assert float(xi @ torch.linalg.solve(P, xi)) < WITHIN
+        if name == "arc_bin":
+            assert (tracked.pose_covariance.diagonal()[:3].sqrt() < 0.003).all()

@@ -2,67 +2,30 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import recordings
 import torch
 from recordings import frame_of, pose, prior, twist
-from scipy.stats import chi2
-from torch import Tensor
+from tracked_camera import (
+    NEVER,
+    SENSOR,
+    START,
+    camera_job,
+    distance,
+    followed,
+    generator,
+    seen_from,
+)
 
-from torchcal.calibrate.tracked import Tracked, TrackStatus
+from torchcal.calibrate.tracked import TrackStatus
 from torchcal.calibrate.tracker import PATIENCE, Tracker
 from torchcal.calibrate.wander import Wander
 from torchcal.errors import TorchcalError
 from torchcal.geometry import se3
-from torchcal.model.job import Frame, Job, RangePrior
+from torchcal.model.job import RangePrior
 
-NEVER = float(chi2.isf(1e-6, 6))
-"""Square of the Mahalanobis distance that honest estimates exceed once in a million."""
-START = pose(0.1, 0.0, -0.6, 0.05, 0.1, 0.0)
 FREE = Wander(blocks={"base": prior(0.03, 0.04)})
-SENSOR = recordings.sensor()
-
-
-def generator() -> torch.Generator:
-    return torch.Generator().manual_seed(0)
-
-
-def camera_job(nominal: Tensor = START, **changes) -> Job:
-    """A job of a camera in the room that is believed to be at a pose; no frames."""
-    job = Job(
-        file=Path("job.toml"),
-        world=recordings.world_of(recordings.room()),
-        robot=None,
-        sensor=SENSOR,
-        link=None,
-        T_world_base=nominal,
-        T_link_sensor=recordings.EYE,
-        frames=(),
-        base=prior(),
-        mount=None,
-    )
-    return replace(job, **changes)
-
-
-def seen_from(truth: Tensor, seed: int = 0, nominal: Tensor | None = None) -> Frame:
-    ranges = recordings.record(list(recordings.room().values()), truth, SENSOR, seed)
-    return frame_of(ranges, T_world_sensor=nominal)
-
-
-def followed(tracker: Tracker, frames: list[Frame]) -> tuple[Tracker, list[Tracked]]:
-    taken = []
-    for frame in frames:
-        tracker, tracked = tracker.step(frame)
-        taken.append(tracked)
-    return tracker, taken
-
-
-def distance(tracked: Tracked, truth: Tensor) -> float:
-    """Square of the Mahalanobis distance of the pose from the true one."""
-    error = se3.log(se3.inverse(tracked.T_world_sensor) @ truth)
-    return float(error @ torch.linalg.solve(tracked.pose_covariance, error))
 
 
 def test_a_camera_without_odometry_is_followed_and_its_sigmas_are_honest():
@@ -198,8 +161,9 @@ def test_a_robots_joint_offset_is_found_and_a_slip_of_the_joint_is_told(tmp_path
 def test_jobs_that_cannot_be_tracked_are_named():
     with pytest.raises(TorchcalError, match="found nothing unknown"):
         Tracker.of(camera_job(base=None), generator=generator())
-    with pytest.raises(TorchcalError, match="anywhere"):
-        Tracker.of(camera_job(initial="anywhere"), generator=generator())
+    tiny = replace(SENSOR, projection=replace(SENSOR.projection, width=8, height=6))
+    with pytest.raises(TorchcalError, match=r"anywhere.* with images of 8 x 6 pixels"):
+        Tracker.of(camera_job(initial="anywhere", sensor=tiny), generator=generator())
 
 
 @pytest.mark.parametrize(

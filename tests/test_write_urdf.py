@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,39 @@ def test_the_written_urdf_contains_the_offsets_of_joints_and_limits(urdf: Path, 
     )
     limits = robot.joint_limits - offsets[:, None]
     torch.testing.assert_close(written.joint_limits, limits, rtol=0.0, atol=POSE_ATOL)
+
+
+def test_soft_limits_and_reference_positions_move_with_the_zero_of_their_joint(tmp_path: Path):
+    text = ARM.read_text()
+    extra = (
+        '<safety_controller soft_lower_limit="-1" soft_upper_limit="2" k_velocity="3"/>'
+        '<calibration rising="0.25"/>'
+    )
+    root = ET.fromstring(text)
+    moving = next(each for each in root.findall("joint") if each.get("type") == "revolute")
+    name = moving.get("name", "")
+    moving.extend(ET.fromstring(f"<joint>{extra}</joint>"))
+    shutil.copytree(ARM.parent, tmp_path / "arm")
+    file = tmp_path / "arm" / "arm.urdf"
+    file.write_text(ET.tostring(root, encoding="unicode"))
+    out, eye = tmp_path / "robot.urdf", torch.eye(4, dtype=torch.float64)
+    write_urdf(
+        load_robot(file),
+        out,
+        T_world_base=eye,
+        link="world",
+        T_link_sensor=eye,
+        joint_offsets={name: 0.125},
+    )
+    written = ET.parse(out).getroot().findall("joint")
+    found = next(each for each in written if each.get("name") == name)
+    soft, reference = found.find("safety_controller"), found.find("calibration")
+    assert soft.attrib == {
+        "soft_lower_limit": "-1.125",
+        "soft_upper_limit": "1.875",
+        "k_velocity": "3",
+    }
+    assert reference.attrib == {"rising": "0.125"}
 
 
 def test_an_offset_of_no_joint_is_an_error(tmp_path: Path):

@@ -8,15 +8,19 @@ from torch import Tensor
 
 from torchcal.calibrate.observation import observe
 from torchcal.calibrate.one_view import OneView, free_sensor
-from torchcal.calibrate.site import Site
+from torchcal.calibrate.site import Site, extent
 from torchcal.calibrate.whereabouts import judged, poses_anywhere
+from torchcal.errors import TorchcalError
 from torchcal.geometry import se3
 from torchcal.match.image.features import image_features
 from torchcal.model.job import WORLD_LINK, Job, PosePrior
-from torchcal.model.scene import body_poses, build_scene
+from torchcal.model.scene import Surface, body_poses, build_scene
+from torchcal.render.synthesis import place_vertices
 
 USABLE = 0.05
 """Share of the pixels that must be measured in a frame before it is used for the search."""
+LEAST_SIDE = 16
+"""Pixels along the shorter side of an image that can be searched for planes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,7 +43,11 @@ def locate(job: Job, generator: torch.Generator) -> Located:
     Args:
         job: Its nominal pose of base or sensor and the prior of that are ignored.
         generator: Draws points of the surface; on the CPU.
+
+    Raises:
+        TorchcalError: If the images are too small to find any place in.
     """
+    check_searchable(job)
     k = _usable_frame(job)
     site = _site(job, k, generator)
     found = _poses(job, k, site)
@@ -50,6 +58,29 @@ def locate(job: Job, generator: torch.Generator) -> Located:
     )
 
 
+def check_searchable(job: Job) -> None:
+    """Raises a TorchcalError if the job's images are too small to find any place in."""
+    width, height = job.sensor.projection.width, job.sensor.projection.height
+    if min(width, height) < LEAST_SIDE:
+        raise TorchcalError(
+            f'{job.file}: found search.initial = "anywhere" with images of {width} x {height} '
+            f"pixels; expected at least {LEAST_SIDE} x {LEAST_SIDE}"
+        )
+
+
+def without_prior(job: Job) -> Job:
+    """The job with what it believes of base or sensor before any image: with "anywhere", nothing.
+
+    Its nominal pose stays; the prior is as wide as the site.
+    """
+    if job.initial != "anywhere":
+        return job
+    surface, poses = _standing(job, 0)
+    corners = place_vertices(surface, poses.to(surface.vertices))
+    sigma = extent(corners.amin(0), corners.amax(0))
+    return replace(job, base=PosePrior(sigma=sigma.to(job.T_world_base)))
+
+
 def _usable_frame(job: Job) -> int:
     """The first frame in which enough was measured, or the one in which most was."""
     shares = observe(job).measured.flatten(1).double().mean(1)
@@ -58,12 +89,17 @@ def _usable_frame(job: Job) -> int:
 
 
 def _site(job: Job, k: int, generator: torch.Generator) -> Site:
+    return Site.of(*_standing(job, k), generator)
+
+
+def _standing(job: Job, k: int) -> tuple[Surface, Float[Tensor, "body 4 4"]]:
+    """What stands still, and where its bodies are in the site, in a frame."""
     watching = job.link == WORLD_LINK
     world, robot = (None, job.robot) if watching else (job.world, None)
     device, origin = job.T_world_base.device, torch.eye(4).to(job.T_world_base)
     scene = build_scene(world, robot, dtype=torch.float64, device=device)
     joints = job.frames[k].joints if watching else None
-    return Site.of(scene.surface, body_poses(scene, world, robot, origin, joints), generator)
+    return scene.surface, body_poses(scene, world, robot, origin, joints)
 
 
 def _poses(job: Job, k: int, site: Site) -> Float[Tensor, "pose 4 4"]:

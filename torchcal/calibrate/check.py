@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.anywhere import without_prior
 from torchcal.calibrate.foresight import expected_covariance, foreseen_covariance, next_view
 from torchcal.calibrate.observability import unobservable_directions
 from torchcal.calibrate.observation import coarse_factor, coarser, observe
@@ -13,6 +14,7 @@ from torchcal.calibrate.readings import misreadings
 from torchcal.calibrate.result import Foresight, FrameCheck, JobCheck, ParameterCheck
 from torchcal.calibrate.suspicion import suspicions
 from torchcal.model.job import Frame, Job
+from torchcal.model.precision import job_in_double
 
 FEW = 0.05
 """A smaller share of measured pixels, or of the model in them, is worth a warning."""
@@ -22,6 +24,7 @@ UNITS = 3.0
 
 def check(job: Job) -> JobCheck:
     """What a job holds and what its images can tell of the unknowns, at the nominal pose."""
+    job = without_prior(job_in_double(job))
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     predictions = predict(job)
@@ -50,6 +53,7 @@ def foresee(job: Job, *, generator: torch.Generator) -> Foresight:
         job: Its images are not looked at.
         generator: Draws configurations for the next view; on the CPU.
     """
+    job = without_prior(job_in_double(job))
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     P = foreseen_covariance(job, scene, parameters, parameters.nominal)

@@ -196,9 +196,9 @@ def moved_objects(parameters: Parameters, belief: Belief) -> tuple[str, ...]:
     moved = []
     for name, rows in zip(parameters.object_names, parameters.object_jacobians, strict=True):
         own = rows.any(0)
-        if not own.any():
-            continue
         P = belief.covariance[own][:, own]
+        if not own.any() or not P.isfinite().all():
+            continue
         distance = float(step[own] @ torch.linalg.pinv(P, hermitian=True) @ step[own])
         if chi2.sf(distance, int(own.sum())) < CHANCE:
             moved.append(name)

@@ -1,7 +1,7 @@
 """What images will tell, before they are taken: expected information, and where to look next."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import torch
@@ -16,6 +16,7 @@ from torchcal.calibrate.result import NextView
 from torchcal.geometry import robust
 from torchcal.model.job import Job
 from torchcal.model.range_image import RangeImage
+from torchcal.model.robot import Robot
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Drift, Sensor
 from torchcal.solve.gauss_newton import covariance
@@ -99,13 +100,16 @@ def next_view(
     """
     if job.robot is None or not job.robot.joint_names or job.frame_poses is not None:
         return None
-    values = _configurations(job.robot.joint_limits, generator)
+    known = Parameters.of(job, scene)
+    if not known.names or not P.isfinite().all():
+        return None
+    offsets = dict(zip(known.joint_names, known.joint_offsets(state).tolist(), strict=True))
+    values = _configurations(_readable_limits(job.robot, offsets), generator).to(state)
     blank = RangeImage.blank("next", "next", job.sensor)
+    blank = replace(blank, range=blank.range.to(state), usable=blank.usable.to(state.device))
     frames = tuple(replace(job.frames[0], image=blank, joints=each) for each in values)
     ahead = replace(job, frames=frames)
     parameters = Parameters.of(ahead, scene)
-    if not parameters.names or not P.isfinite().all():
-        return None
     informations = list(foreseen(ahead, scene, parameters, state))
     gains = torch.stack([_gain(P, information) for information in informations])
     best = int(gains.argmax())
@@ -143,6 +147,12 @@ def _drift(sensor: Sensor) -> Drift | None:
     if known is None or known.sigma == 0.0:
         return None
     return replace(known, pixels=known.pixels / coarse_factor(sensor))
+
+
+def _readable_limits(robot: Robot, offsets: Mapping[str, float]) -> Float[Tensor, "joint 2"]:
+    """The limits in values as they are read, which lack the joints' offsets."""
+    shift = [offsets.get(name, 0.0) for name in robot.joint_names]
+    return robot.joint_limits - robot.joint_limits.new_tensor(shift)[:, None]
 
 
 def _configurations(limits: Tensor, generator: torch.Generator) -> Float[Tensor, "view joint"]:

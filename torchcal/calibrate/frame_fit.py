@@ -1,6 +1,6 @@
 """What one frame says of the parameters: quick fits of rays, then the exact image once."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -17,12 +17,18 @@ from torchcal.calibrate.observation import (
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pixel_stage import AGREEING, block_side, expected_sigma
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit, embedded
-from torchcal.calibrate.refine import Refined, fit_cutoff, reliable_share, with_noise
+from torchcal.calibrate.refine import Refined, reliable_share, with_noise
 from torchcal.geometry import robust
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Drift
-from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
+from torchcal.solve.gauss_newton import (
+    GaussNewtonConfig,
+    NormalEquations,
+    Solution,
+    minimise,
+    shared,
+)
 from torchcal.solve.image_equations import normal_equations
 
 WIDTH = 128
@@ -40,6 +46,12 @@ APART = 5.0
 """Standard deviations beyond which a block shows something else than the model."""
 LOOKS = 4
 """Most exact images for one frame."""
+SLOW_PIXELS = 30.0
+"""Over about so many pixels the range errors of real cameras are alike. The residuals of a single
+frame show less, because its own fit takes up what varies most slowly."""
+LARGEST_SLOW = 2.0
+"""Most of that error, in the declared sigma of a pixel: a single frame must not be believed more
+than it deserves, and no comparison is made with it that a wrong model could hide from."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,9 +119,11 @@ class FrameFit:
 
     def near(self, state: Float[Tensor, "slot 4 4"]) -> Float[Tensor, "slot 4 4"]:
         """Where rays lead from a state within a few pixels of the coarse image."""
-        rays = replace(self.fit, observation=self.coarse, drift=None)
-        for cutoff in (fit_cutoff(rays, state), *CUTOFFS):
-            state = self._fitted(replace(rays, cutoff=cutoff), state).state[0]
+        rays = _Rays(fit=replace(self.fit, observation=self.coarse, drift=None))
+        config = self._steps(self.coarse)
+        config = replace(config, trusted=config.tolerance)  # the exact image is looked at anyway
+        for cutoff in (rays.cutoff(state), *CUTOFFS):
+            state = rays.fitted(state, cutoff, config)
         return state
 
     def told(self, state: Float[Tensor, "slot 4 4"], share: float) -> Told:
@@ -134,14 +148,17 @@ class FrameFit:
 
     def trust(self, state: Float[Tensor, "slot 4 4"]) -> Trust:
         """What the residuals at a fitted state say of the noise."""
-        fit = with_noise(self.fit, state, self.side)
+        fit = self._with_noise(self.fit, state)
         known, share = fit.observation.sensor.noise.drift, 1.0
         if known is None or known.sigma > 0.0:
             solution = self._fitted(fit, state)
-            fit = with_noise(fit, solution.state[0], self.side)
+            fit = self._with_noise(fit, solution.state[0])
             refined = Refined(state=solution.state[0], fit=fit, factor=self.side, solution=solution)
             share = reliable_share(refined)
         return Trust(sigma_scale=fit.sigma_scale, drift=fit.drift, share=share)
+
+    def _with_noise(self, fit: RangeFit, state: Tensor) -> RangeFit:
+        return with_noise(fit, state, self.side, largest=LARGEST_SLOW, shortest=SLOW_PIXELS)
 
     def trusting(self, trust: Trust) -> "FrameFit":
         """The same with another noise."""
@@ -149,13 +166,12 @@ class FrameFit:
         return replace(self, fit=fit)
 
     def _fitted(self, fit: RangeFit, state: Tensor) -> Solution:
-        config = GaussNewtonConfig(
-            iterations=STEPS,
-            ripple=0.005,
-            tolerance=CLOSE * float(fit.observation.measured.sum()) ** 0.5,
-            longest=1.5,
-        )
+        config = self._steps(fit.observation)
         return minimise(shared(fit.evaluate), fit.parameters.retract, state[None], config)
+
+    def _steps(self, observation: Observation) -> GaussNewtonConfig:
+        close = CLOSE * float(observation.measured.sum()) ** 0.5
+        return GaussNewtonConfig(iterations=STEPS, ripple=0.005, tolerance=close, longest=1.5)
 
     def _look(self, state: Tensor, share: float) -> tuple[Told, FrameResidual]:
         fit = self.fit
@@ -189,3 +205,36 @@ class FrameFit:
         observation = self.fit.observation
         agrees = frame.residual.abs() <= AGREEING * expected_sigma(observation)[0]
         return int((agrees & frame.compared).sum()) / max(1, int(observation.measured.sum()))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Rays:
+    """Fits of one frame with several cut-offs that predict no state twice."""
+
+    fit: RangeFit
+    seen: list[tuple[Tensor, FrameResidual]] = field(default_factory=list)
+    """States with their residuals."""
+
+    def cutoff(self, state: Float[Tensor, "slot 4 4"]) -> float:
+        """Eq. 16, not below the efficient cut-off."""
+        frame = self._residual(state)
+        return robust.cutoff((frame.residual / frame.sigma)[frame.compared])
+
+    def fitted(
+        self, state: Float[Tensor, "slot 4 4"], cutoff: float, config: GaussNewtonConfig
+    ) -> Float[Tensor, "slot 4 4"]:
+        """Where steps lead from a state."""
+        fit = replace(self.fit, cutoff=cutoff)
+
+        def evaluate(states: Tensor) -> NormalEquations:
+            return fit.equations(states[0], (self._residual(states[0]),))
+
+        return minimise(shared(evaluate), fit.parameters.retract, state[None], config).state[0]
+
+    def _residual(self, state: Tensor) -> FrameResidual:
+        for known, frame in self.seen:
+            if torch.equal(known, state):
+                return frame
+        (frame,) = self.fit.residuals(state)
+        self.seen.append((state, frame))
+        return frame

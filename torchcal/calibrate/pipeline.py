@@ -31,6 +31,7 @@ from torchcal.calibrate.result import Calibration, FrameComparison, Status
 from torchcal.calibrate.suspicion import suspicions
 from torchcal.calibrate.update import propose_update
 from torchcal.model.job import Job
+from torchcal.model.precision import job_in_double
 from torchcal.model.scene import Scene, build_scene
 from torchcal.render.synthesis import synthesise
 
@@ -54,6 +55,7 @@ def calibrate(
         progress: Called at the beginning and the end of each stage.
     """
     stages = _Stages(progress=progress)
+    dtype, job = job.T_world_base.dtype, job_in_double(job)
     bases = None
     if estimate and job.initial == "anywhere":
         with stages.stage("look everywhere"):
@@ -87,7 +89,7 @@ def calibrate(
             ahead = next_view(job, scene, belief.state, belief.covariance, generator)
     return Calibration(
         job=job,
-        estimate=result,
+        estimate=result.to(dtype),
         comparisons=comparisons,
         update=update,
         next_view=ahead,
@@ -99,6 +101,7 @@ def calibrate(
 
 def predict(job: Job) -> tuple[Float[Tensor, "h w"], ...]:
     """What the model predicts at the nominal pose: range images (m), NaN where nothing is met."""
+    job = job_in_double(job)
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
     poses = parameters.bodies_in_sensor(parameters.nominal).float()

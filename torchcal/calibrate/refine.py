@@ -129,15 +129,31 @@ def fine_fit(
     return Refined(state=solution.state[0], fit=fit, factor=factor, solution=solution)
 
 
-def with_noise(fit: RangeFit, state: Float[Tensor, "slot 4 4"], factor: int) -> RangeFit:
-    """The fit with the efficient cut-off and the noise that its own residuals show."""
+def with_noise(
+    fit: RangeFit,
+    state: Float[Tensor, "slot 4 4"],
+    factor: int,
+    *,
+    largest: float = LARGEST_DRIFT,
+    shortest: float = 0.0,
+) -> RangeFit:
+    """The fit with the efficient cut-off and the noise that its own residuals show.
+
+    Args:
+        fit: Of blocks of pixels.
+        state: Where its residuals are looked at.
+        factor: Side of a block (pixels).
+        largest: Most of the slowly varying error, in the declared sigma of a pixel.
+        shortest: Least length (pixels) over which that is alike.
+    """
     known = fit.observation.sensor.noise.drift
     if known is not None:
         drift = Drift(sigma=known.sigma, pixels=known.pixels / factor)
         fit = replace(fit, drift=drift, cutoff=robust.EFFICIENT)
         return replace(fit, sigma_scale=max(1.0, _independent_scale(fit, state)))
-    model = _noise_of_residuals(fit, state, largest=LARGEST_DRIFT * factor)
-    drift = model.drift if model.drift.sigma > 0 else None
+    model = _noise_of_residuals(fit, state, largest=largest * factor)
+    pixels = max(model.drift.pixels, shortest / factor)
+    drift = replace(model.drift, pixels=pixels) if model.drift.sigma > 0 else None
     return replace(fit, drift=drift, sigma_scale=model.sigma_scale, cutoff=robust.EFFICIENT)
 
 

@@ -1,9 +1,10 @@
 """What a calibration finds: the estimate, the comparison and the update, as frozen data."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 
+import torch
 import trimesh
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -90,6 +91,19 @@ class Estimate:
     score: float
     unobservable: tuple[UnobservableDirection, ...]
     alternatives: tuple[Alternative, ...]
+
+    def to(self, dtype: torch.dtype) -> "Estimate":
+        """The same with poses and covariances in another precision."""
+        return replace(
+            self,
+            covariance=self.covariance.to(dtype),
+            state=self.state.to(dtype),
+            T_world_base=self.T_world_base.to(dtype),
+            T_link_sensor=self.T_link_sensor.to(dtype),
+            Ts_world_sensor=self.Ts_world_sensor.to(dtype),
+            pose_covariances=self.pose_covariances.to(dtype),
+            Ts_world_object={name: T.to(dtype) for name, T in self.Ts_world_object.items()},
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -38,9 +38,7 @@ class Site:
     @property
     def extent(self) -> Float[Tensor, "6"]:
         """Standard deviations (m, rad) of a pose of which nothing but the site is known."""
-        return torch.cat(
-            [(self.high - self.low).norm().expand(3), self.low.new_full((3,), torch.pi)]
-        )
+        return extent(self.low, self.high)
 
     @property
     def middle(self) -> Prior:
@@ -88,3 +86,8 @@ class Site:
             low=corners.amin(0),
             high=corners.amax(0),
         )
+
+
+def extent(low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Float[Tensor, "6"]:
+    """Standard deviations (m, rad) of a pose that is somewhere in a box (m)."""
+    return torch.cat([(high - low).norm().expand(3), low.new_full((3,), torch.pi)])

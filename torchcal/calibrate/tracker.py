@@ -13,7 +13,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.estimate import EXPLAINED, FARTHEST, choose_start
+from torchcal.calibrate.anywhere import check_searchable, locate, without_prior
+from torchcal.calibrate.estimate import (
+    EXPLAINED,
+    EXPLAINED_ANYWHERE,
+    FARTHEST,
+    choose_found,
+    choose_start,
+)
 from torchcal.calibrate.frame_fit import FrameFit, Told, Trust
 from torchcal.calibrate.innovation import Innovation, innovation
 from torchcal.calibrate.live_frame import only_frame, usable_frame
@@ -22,10 +29,11 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.slots import BASE
 from torchcal.calibrate.tracked import Tracked, TrackStatus
-from torchcal.calibrate.wander import Wander, own_error
+from torchcal.calibrate.wander import Wander, own_error, usually_unsure
 from torchcal.errors import TorchcalError
 from torchcal.geometry import gaussian, se3
 from torchcal.model.job import Frame, Job
+from torchcal.model.precision import frame_in_double, job_in_double
 from torchcal.model.scene import Scene
 
 CHANCE = 1e-6
@@ -54,6 +62,12 @@ class Tracker:
     generator: torch.Generator
     state: Float[Tensor, "slot 4 4"]
     covariance: Float[Tensor, "parameter parameter"]
+    T_first: Float[Tensor, "4 4"]
+    """Nominal pose of the frame whose sensor the base is; without a robot."""
+    dtype: torch.dtype
+    """Of what is told: the job's own."""
+    starts: Float[Tensor, "start slot 4 4"] | None = None
+    """Where the first frame may be: found anywhere in the world."""
     trust: Trust | None = None
     """None until a frame was explained."""
     agreement: float = 0.0
@@ -73,25 +87,27 @@ class Tracker:
             generator: Draws the starts of searches; on the CPU.
 
         Raises:
-            TorchcalError: If the job declares nothing unknown, the drift is not of its unknowns or
-                the start is to be sought anywhere.
+            TorchcalError: If the job declares nothing unknown, the drift is not of its unknowns, or
+                the start is to be sought anywhere with images that are too small for that.
         """
-        if job.initial != "nominal":
-            found = f"{job.file}: found search.initial = {job.initial!r}"
-            raise TorchcalError(f"{found}; expected 'nominal', because trackers begin near it")
+        if job.initial == "anywhere":
+            check_searchable(job)
+        dtype, job = job.T_world_base.dtype, job_in_double(job)
         alone = only_frame(job)
         scene = build_job_scene(job)
-        parameters = Parameters.of(alone, scene)
+        parameters = Parameters.of(without_prior(alone), scene)
         if not parameters.names:
             raise TorchcalError(f"{job.file}: found nothing unknown; expected something to track")
         return Tracker(
             job=replace(job, frames=()),
             scene=scene,
             parameters=parameters,
-            drift=(drift or Wander()).sigmas(parameters),
+            drift=(drift or Wander()).sigmas(usually_unsure(job, parameters)),
             generator=generator,
             state=parameters.nominal,
             covariance=torch.diag(parameters.prior_sigma.square()),
+            T_first=parameters.nominal[BASE],
+            dtype=dtype,
         )
 
     def step(self, frame: Frame) -> tuple["Tracker", Tracked]:
@@ -102,20 +118,22 @@ class Tracker:
             used changes no estimate and is no error.
         """
         began = time.perf_counter()
-        usable = usable_frame(frame, self.job)
+        usable = usable_frame(frame_in_double(frame), self.job)
         if isinstance(usable, str):
             return self.skip(frame.image.name, usable)
-        expecting = self._expecting(self._placed(usable))
-        alone = replace(self.job, frames=(usable,))
+        anywhere = self.job.initial == "anywhere"
+        begun = self._located(usable) if anywhere else self
+        expecting = begun._expecting(begun._placed(usable))
+        alone = replace(begun.job, frames=(usable,))
         fit = FrameFit.of(alone, self.scene, expecting._wide(), self.trust or Trust())
+        before = self if anywhere else expecting
         if not fit.measured:
             words = "The image holds no area that can be compared."
-            return expecting, expecting._unused(
-                frame.image.name, TrackStatus.UNUSABLE, words, began
-            )
+            return before, before._unused(frame.image.name, TrackStatus.UNUSABLE, words, began)
         told, trust = expecting._explained(alone, fit)
-        if told.agreement < EXPLAINED or expecting._is_far(told.state):
-            after = replace(expecting, lost=self.lost + 1)
+        least = EXPLAINED_ANYWHERE if anywhere else EXPLAINED
+        if told.agreement < least or expecting._is_far(told.state):
+            after = replace(before, lost=self.lost + 1)
             words = f"The image is not explained, {after.lost} in a row."
             return after, after._unused(frame.image.name, TrackStatus.LOST, words, began)
         return expecting._believing(told, trust, frame, began)
@@ -129,6 +147,23 @@ class Tracker:
         """
         after = self._expecting(self.parameters)
         return after, after._unused(name, TrackStatus.UNUSABLE, why, time.perf_counter())
+
+    def _located(self, frame: Frame) -> "Tracker":
+        """Begun where a search all over the world puts a frame."""
+        if self.job.robot is None and frame.T_world_sensor is None:
+            frame = replace(frame, T_world_sensor=self.T_first)
+        located = locate(replace(self.job, frames=(frame,)), self.generator)
+        job = replace(located.job, initial="nominal")
+        parameters = Parameters.of(job, self.scene)
+        return replace(
+            self,
+            job=replace(job, frames=()),
+            parameters=parameters,
+            state=parameters.nominal,
+            covariance=torch.diag(parameters.prior_sigma.square()),
+            T_first=self.T_first if frame.T_world_sensor is None else frame.T_world_sensor,
+            starts=parameters.with_base(located.Ts_world_base),
+        )
 
     def _expecting(self, parameters: Parameters) -> "Tracker":
         """A frame later: less sure by the drift, and with a new error of the frame's own."""
@@ -152,8 +187,7 @@ class Tracker:
         if frame.joints is not None:
             mechanism = replace(mechanism, joints=frame.joints.to(mechanism.joints)[None])
         if frame.T_world_sensor is not None:
-            T_first = self.parameters.nominal[BASE]
-            T = se3.inverse(T_first) @ frame.T_world_sensor.to(T_first)
+            T = se3.inverse(self.T_first) @ frame.T_world_sensor.to(self.T_first)
             mechanism = replace(mechanism, Ts_first_frame=T[None])
         return replace(self.parameters, mechanism=mechanism)
 
@@ -186,7 +220,9 @@ class Tracker:
         return told, self.trust
 
     def _sought(self, alone: Job, fit: FrameFit) -> Tensor:
-        """Where a search leads that starts all over the fit's prior."""
+        """Where a search leads that starts all over the fit's prior, or from what was found."""
+        if self.trust is None and self.starts is not None:
+            return choose_found(alone, self.scene, fit.fit.parameters, self.starts).state
         return choose_start(alone, self.scene, fit.fit.parameters, self.generator).state
 
     def _believing(
@@ -238,11 +274,13 @@ class Tracker:
         J = self.parameters.pose_jacobians(self.state)[0]
         return {
             "names": self.parameters.names,
-            "state": self.state,
-            "corrections": self.parameters.difference(self.state, self.parameters.nominal),
-            "covariance": self.covariance,
-            "T_world_sensor": self.parameters.sensor_poses(self.state)[0],
-            "pose_covariance": gaussian.moved_covariance(self.covariance, J),
+            "state": self.state.to(self.dtype),
+            "corrections": self.parameters.difference(self.state, self.parameters.nominal).to(
+                self.dtype
+            ),
+            "covariance": self.covariance.to(self.dtype),
+            "T_world_sensor": self.parameters.sensor_poses(self.state)[0].to(self.dtype),
+            "pose_covariance": gaussian.moved_covariance(self.covariance, J).to(self.dtype),
         }
 
     def _unused(self, name: str, status: TrackStatus, message: str, began: float) -> Tracked:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -10,8 +10,10 @@ from torch import Tensor
 
 from torchcal.calibrate.parameters import AXES, Parameters
 from torchcal.errors import TorchcalError, choices
-from torchcal.model.job import PosePrior
+from torchcal.model.job import Job, PosePrior
 
+UNSURE = (0.1, 0.1)
+"""m, rad: how unsure of a base one usually is, for jobs whose base may be anywhere."""
 SHARE = 0.01
 """Of the prior's sigma: what an unknown changes in a frame if nobody says otherwise."""
 
@@ -48,6 +50,18 @@ class Wander:
                 )
             ]
         ).to(parameters.prior_sigma)
+
+
+def usually_unsure(job: Job, parameters: Parameters) -> Parameters:
+    """The parameters with sigmas that drifts are shares of: an unlimited search has none."""
+    if job.initial != "anywhere":
+        return parameters
+    sigma = parameters.prior_sigma.clone()
+    first = tuple(f"base.{axis}" for axis in AXES)
+    assert parameters.names[:6] == first, "all of the base is unknown"
+    usual = [value for value in UNSURE for _ in range(3)]
+    sigma[:6] = sigma.new_tensor(usual) if job.base is None else job.base.sigma.to(sigma)
+    return replace(parameters, prior_sigma=sigma)
 
 
 def own_error(parameters: Parameters) -> Tensor:

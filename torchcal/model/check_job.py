@@ -12,6 +12,13 @@ from torchcal.model.job_schema import JobTable, JointSigmas
 from torchcal.model.robot import Robot
 from torchcal.model.world import World
 
+SIGMA_OF = {
+    "revolute": ("sigma_deg", "degrees"),
+    "continuous": ("sigma_deg", "degrees"),
+    "prismatic": ("sigma", "metres"),
+}
+"""The key of ``unknown.joints`` that is for each kind of joint, and its unit."""
+
 
 def check_tables(file: Path, table: JobTable) -> None:
     """Checks that each table and key is there where it is needed and nowhere else.
@@ -105,12 +112,18 @@ def _check_joint_sigmas(file: Path, table: JointSigmas, robot: Robot) -> None:
         check_joint(file, "unknown.joints.names", name, robot)
         if table.names and name in table.names[:i]:
             raise JobError(file, "unknown.joints.names", f'"{name}" twice', "each joint once")
-    for name in table.names or robot.joint_names:
-        kind = joint_kind(name, robot)
-        key, unit = ("sigma", "metres") if kind == "prismatic" else ("sigma_deg", "degrees")
+    chosen = {name: joint_kind(name, robot) for name in table.names or robot.joint_names}
+    for name, kind in chosen.items():
+        key, unit = SIGMA_OF[kind]
         if getattr(table, key) is None:
             expected = f'a number in {unit} for the {kind} joint "{name}"'
             raise JobError(file, f"unknown.joints.{key}", "nothing", expected)
+    needed = {SIGMA_OF[kind][0] for kind in chosen.values()}
+    for key in ("sigma", "sigma_deg"):
+        if getattr(table, key) is not None and chosen and key not in needed:
+            kinds = " or ".join(kind for kind, (own, _) in SIGMA_OF.items() if own == key)
+            found = f"a number although no unknown joint is {kinds}"
+            raise JobError(file, f"unknown.joints.{key}", found, " and ".join(sorted(needed)))
 
 
 def _check_object(file: Path, name: str, world: World | None) -> None:

@@ -1,7 +1,7 @@
 """Writing the corrected URDF. Reading is in ``torchcal.model.urdf_reader``."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import torch
@@ -17,6 +17,11 @@ from torchcal.model.robot import JointMotion, Robot
 from torchcal.model.urdf_reader import read_xml
 
 SENSOR_LINK = "torchcal_sensor"
+GIVEN_VALUES = {
+    "safety_controller": ("soft_lower_limit", "soft_upper_limit"),
+    "calibration": ("rising", "falling"),
+}
+"""Values of a joint that say nothing where they are left out."""
 
 
 def write_urdf(
@@ -30,7 +35,8 @@ def write_urdf(
 ) -> None:
     """Writes the robot's URDF with where its base stands, its joints are 0 and its sensor is.
 
-    The tree stays as it was, and limits move with the zero of their joint. New are a root link
+    The tree stays as it was, and limits, soft limits and reference positions move with the zero of
+    their joint. New are a root link
     ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the old root, and
     a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files are copied to
     ``meshes`` beside the file, with the materials and images that they name.
@@ -73,7 +79,7 @@ def write_urdf(
 
 
 def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
-    """Puts an offset into the origin of the joint above a link, and takes it out of its limits."""
+    """Puts an offset into the origin of the joint above a link, and takes it out of its values."""
     joint = next(joint for joint in root.findall("joint") if _child(joint) == child)
     origin = joint.find("origin")
     if origin is None:
@@ -83,10 +89,18 @@ def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
         for key in ("xyz", "rpy")
     )
     _set_origin(origin, se3.from_xyz_rpy(xyz, rpy) @ motion.T)
-    limits = [] if joint.get("type") == "continuous" else joint.findall("limit")
-    for limit in limits:
-        for key in ("lower", "upper"):
-            limit.set(key, f"{float(limit.get(key, '0')) - motion.value:.17g}")
+    for element, key in _values(joint):
+        element.set(key, f"{float(element.get(key, '0')) - motion.value:.17g}")
+
+
+def _values(joint: ET.Element) -> Iterator[tuple[ET.Element, str]]:
+    """Attributes of a joint's parts that are values of the joint: they move with its zero."""
+    if joint.get("type") != "continuous":
+        for limit in joint.findall("limit"):
+            yield from ((limit, key) for key in ("lower", "upper"))  # 0 if left out
+    for tag, keys in GIVEN_VALUES.items():
+        for element in joint.findall(tag):
+            yield from ((element, key) for key in keys if key in element.attrib)
 
 
 def _child(joint: ET.Element) -> str | None:
