@@ -72,10 +72,11 @@ def chart(title: str, unit: str, series: dict[str, Sequence[Point]]) -> Chart:
     Args:
         title: Above it.
         unit: Of the values.
-        series: By label; none is empty.
+        series: By label; none is empty. Those that can be used decide on the scale.
     """
     points = [point for each in series.values() for point in each]
-    ticks = _ticks([end for point in points for end in _ends(point)])
+    scaling = [point for point in points if point.usable] or points
+    ticks = _ticks([end for point in scaling for end in _ends(point)])
     low, high = ticks[0], ticks[-1]
     times = [point.time for point in points]
     first, last = min(times), max(times)

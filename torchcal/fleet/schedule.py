@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torchcal.fleet.task import End, Ended, Task, Work, attempt
 
@@ -11,6 +11,7 @@ AGAIN = (End.ERROR, End.KILLED)
 """Ends after which another attempt may do better."""
 
 
+@runtime_checkable
 class Place(Protocol):
     """Where tasks run: this process, other processes, a cluster."""
 
