@@ -1,9 +1,10 @@
-"""``torchcal batch``: every job is accounted for, finished ones are left alone, the rest goes on."""
+"""``torchcal batch``: every job is accounted for, finished ones are left alone."""
 
 import csv
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import fleet_jobs
@@ -266,3 +267,19 @@ def test_results_are_not_written_over_what_a_job_needs(jobs, capsys):
     assert main(["batch", str(jobs), "--out", str(jobs)]) == 2
     assert "expected another folder" in capsys.readouterr().err
     assert (jobs / "a" / "job.toml").exists()
+
+
+def test_a_job_whose_worker_died_after_the_last_byte_is_not_done_twice(library, jobs):
+    run(jobs)
+    tasks = {}
+
+    def kept(task):
+        tasks[task.name] = task
+        return batch_job.run_job(replace(task, attempt=2))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "run_job", kept)
+        patch.setattr(batch, "finished", lambda task: None)
+        assert run(jobs) == 0
+    assert set(tasks) == set("abc")
+    assert library.done == ["a", "b", "c"]

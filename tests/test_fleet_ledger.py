@@ -48,7 +48,7 @@ def test_half_written_folders_hold_no_jobs(root):
 
 def test_two_jobs_of_one_name_are_refused(root):
     files = [job(root, "r1", "monday", "job.toml"), job(root, "r2", "monday", "job.toml")]
-    with pytest.raises(TorchcalError, match="monday.*give the folder above both"):
+    with pytest.raises(TorchcalError, match=r"monday.*give the folder above both"):
         find_jobs(files)
 
 

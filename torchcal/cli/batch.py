@@ -17,7 +17,7 @@ from torchcal.cli.progress import progress
 from torchcal.cli.result_files import as_json
 from torchcal.errors import TorchcalError
 from torchcal.fleet import table
-from torchcal.fleet.ledger import find_jobs, fingerprint, read_record
+from torchcal.fleet.ledger import find_jobs, fingerprint, finished, read_record
 from torchcal.fleet.page import page
 from torchcal.fleet.processes import Processes
 from torchcal.fleet.schedule import Here, Place, run_all
@@ -37,22 +37,17 @@ def run_batch(command: Batch, out: Console, err: Console) -> int:
     tasks = _tasks(command, find_jobs(command.jobs))
     with _alone(command.out):
         clear_leftovers(task.folder for task in tasks)
-        records = {task.name: read_record(task.folder) for task in tasks}
-        finished = {
-            task.name: record
-            for task in tasks
-            if (record := records[task.name]) and record.fingerprint == task.fingerprint
-        }
-        todo = [task for task in tasks if task.name not in finished]
-        changed = sum(records[task.name] is not None for task in todo)
-        ended, interrupted = _run(command, todo, len(finished), err)
-        rows = [_row(task, finished.get(task.name), ended.get(task.name)) for task in tasks]
+        before = {task.name: record for task in tasks if (record := finished(task)) is not None}
+        todo = [task for task in tasks if task.name not in before]
+        changed = sum(read_record(task.folder) is not None for task in todo)
+        ended, interrupted = _run(command, todo, len(before), err)
+        rows = [_row(task, before.get(task.name), ended.get(task.name)) for task in tasks]
         parquet = _write(command, rows)
     if command.options.json:
         found = {"jobs": table.cells(rows, command.robot)}
         out.file.write(as_json(found) + "\n")
     else:
-        _tell(command, rows, (len(finished), changed), parquet, out)
+        _tell(command, rows, (len(before), changed), parquet, out)
     return _status(rows, interrupted)
 
 
@@ -175,9 +170,9 @@ def _tell(
     """The answer on standard output."""
     counts = Counter(row.status for row in rows)
     line(out, f"{len(rows)} jobs: {', '.join(f'{n} {name}' for name, n in counts.items())}")
-    finished, changed = before
-    if finished:
-        line(out, f"{finished} of them were finished before and were not done again")
+    kept, changed = before
+    if kept:
+        line(out, f"{kept} of them were finished before and were not done again")
     if changed:
         line(out, f"{changed} had changed since they were finished and were done again")
     doubtful = [row for row in rows if not row.usable]

@@ -17,7 +17,7 @@ from torchcal.cli.options import Options
 from torchcal.cli.output import clear_leftovers, input_files, replaced_folder
 from torchcal.cli.result_files import write_results
 from torchcal.display.figures import class_counts
-from torchcal.fleet.ledger import write_record
+from torchcal.fleet.ledger import finished, write_record
 from torchcal.fleet.task import Correction, Record, Task
 from torchcal.model.job import Job
 from torchcal.model.read_job import read_job
@@ -32,6 +32,8 @@ def run_job(task: Task) -> Record:
     began = time.perf_counter()
     if task.attempt > 1:
         clear_leftovers([task.folder])
+        if (record := finished(task)) is not None:  # killed before it could say so
+            return record
     job = read_job(task.job, device=device(Options(device=task.device)))
     generator = torch.Generator().manual_seed(task.seed % 2**63)
     calibration = calibrate(job, generator=generator)

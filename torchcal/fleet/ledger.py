@@ -11,7 +11,7 @@ from dataclasses import asdict, fields
 from pathlib import Path, PurePosixPath
 
 from torchcal.errors import TorchcalError
-from torchcal.fleet.task import Correction, Record
+from torchcal.fleet.task import Correction, Record, Task
 
 JOB_FILE = "job.toml"
 RECORD_FILE = "batch.json"
@@ -99,6 +99,12 @@ def write_record(record: Record, folder: Path) -> None:
     """Puts a record beside a result that is being written."""
     text = json.dumps(asdict(record), indent=2, allow_nan=False, ensure_ascii=False)
     (folder / RECORD_FILE).write_text(text + "\n", encoding="utf-8")
+
+
+def finished(task: Task) -> Record | None:
+    """The record of a task that is done; None if it is not, or was before its job changed."""
+    record = read_record(task.folder)
+    return record if record and record.fingerprint == task.fingerprint else None
 
 
 def read_record(folder: Path) -> Record | None:
