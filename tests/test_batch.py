@@ -263,6 +263,14 @@ def test_without_ray_it_says_what_to_install(jobs, capsys, monkeypatch):
     assert "torchcal[fleet]" in capsys.readouterr().err
 
 
+def test_a_cluster_that_is_not_there_is_one_line(jobs, capsys):
+    pytest.importorskip("ray", reason="needs Ray (the fleet extra)")
+    assert run(jobs, "--ray", "127.0.0.1:1") == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: --ray 127.0.0.1:1: found ")
+    assert told.count("\n") == 1
+
+
 def test_results_are_not_written_over_what_a_job_needs(jobs, capsys):
     assert main(["batch", str(jobs), "--out", str(jobs)]) == 2
     assert "expected another folder" in capsys.readouterr().err

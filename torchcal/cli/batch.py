@@ -1,8 +1,9 @@
 """``torchcal batch``: which jobs are to be done, where, and what became of all of them."""
 
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from importlib import import_module
 from pathlib import Path
 
@@ -112,7 +113,8 @@ def _run(
         return ended, False
     place = _place(command, len(todo))
     try:
-        with progress(err) as report:
+        # Ray tells of lost machines on standard output, which belongs to the answer.
+        with redirect_stdout(sys.stderr), progress(err) as report:
             report("jobs", before / (before + len(todo)))
             for each in run_all(todo, place, attempts=command.attempts):
                 ended[each.task.name] = each

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import socket
 from importlib import import_module
 from typing import Any
 
@@ -11,6 +12,8 @@ from torchcal.fleet.task import End, Ended, Task, Work, attempt
 
 LOCAL = "local"
 """The address that starts a cluster on this machine."""
+REACHED_WITHIN = 10.0
+"""s"""
 AHEAD = 2
 """Tasks given to the cluster for each that it can run: no worker waits for this process."""
 
@@ -76,6 +79,7 @@ def _connected(address: str, workers: int | None) -> Any:
     except ImportError as error:
         words = "found no Ray; expected it to be installed: pip install 'torchcal[fleet]'"
         raise TorchcalError(f"--ray {address}: {words}") from error
+    _check_reachable(address)
     options: dict[str, Any] = {"address": address, "runtime_env": {"env_vars": ONE_THREAD}}
     if address == LOCAL:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -83,11 +87,26 @@ def _connected(address: str, workers: int | None) -> Any:
     try:
         ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
     except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
-        raise TorchcalError(
-            f"--ray {address}: found {_first_line(error)}; expected the address of a cluster, "
-            f"auto or {LOCAL}"
-        ) from error
+        raise _unreachable(address, error) from error
     return ray
+
+
+def _check_reachable(address: str) -> None:
+    """Raises if nobody listens at a host and port: Ray would try for many minutes."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not host or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=REACHED_WITHIN).close()
+    except (OSError, OverflowError) as error:
+        raise _unreachable(address, error) from error
+
+
+def _unreachable(address: str, error: Exception) -> TorchcalError:
+    return TorchcalError(
+        f"--ray {address}: found {_first_line(error)}; expected the address of a cluster, auto or "
+        f"{LOCAL}"
+    )
 
 
 def _first_line(error: BaseException) -> str:
