@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from torchcal.errors import JobError
@@ -51,10 +52,4 @@ def threads(each: Task) -> Record:
     """Says in its message how many threads torch would use."""
     import torch  # noqa: PLC0415
 
-    found = record(each)
-    return Record(
-        **{
-            **{k: getattr(found, k) for k in found.__slots__},
-            "message": str(torch.get_num_threads()),
-        }
-    )
+    return replace(record(each), message=str(torch.get_num_threads()))

@@ -26,7 +26,7 @@ def fleet() -> list[Row]:
     for day in range(5):
         for robot, drift in (("drifting", 0.001), ("standing", 0.0)):
             moved = {"base.x": correction(drift * day), "joints.elbow": correction(0.0)}
-            rows.append(row(f"{robot}/2026-11-0{day + 1}", record(**moved)))
+            rows.append(row(f"{robot}/2026-11-0{day + 1}", record(corrections=moved)))
     return [*rows, row("unknown/<monday>", None)]
 
 
@@ -39,7 +39,7 @@ class Tags(HTMLParser):
         self.references: list[str] = []
 
     def handle_starttag(self, tag, attrs):
-        self.references += [value for name, value in attrs if name in ("href", "src")]
+        self.references += [value or "" for name, value in attrs if name in ("href", "src")]
         if tag not in ("meta", "br", "img"):
             self.open.append(tag)
 

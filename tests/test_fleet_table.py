@@ -1,7 +1,10 @@
 """Which robot a job belongs to, when it was recorded, and what stands in its row."""
 
 import csv
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import fleet_work
 import pytest
@@ -13,10 +16,11 @@ from torchcal.fleet.task import Correction, Record
 CORRECTIONS = {"base.x": Correction(value=0.001, sigma=0.0002, unit="m")}
 
 
-def record(robot: str | None = "arm", **corrections: Correction) -> Record:
+def record(
+    robot: str | None = "arm", corrections: Mapping[str, Correction] = MappingProxyType({})
+) -> Record:
     plain = fleet_work.record(fleet_work.task("any", Path("any")))
-    values = {name: getattr(plain, name) for name in plain.__slots__}
-    return Record(**{**values, "robot": robot, "corrections": corrections})
+    return replace(plain, robot=robot, corrections=corrections)
 
 
 def row(job: str, found: Record | None) -> Row:
@@ -68,7 +72,11 @@ def test_a_job_without_date_and_result_has_no_time():
 
 def test_every_row_has_the_columns_of_all_jobs():
     lift = {"joints.lift": Correction(value=-0.5, sigma=0.25, unit="m")}
-    rows = [row("a", record(**CORRECTIONS)), row("b", None), row("c", record(**lift))]
+    rows = [
+        row("a", record(corrections=CORRECTIONS)),
+        row("b", None),
+        row("c", record(corrections=lift)),
+    ]
     found = cells(rows, None)
     assert [list(each) for each in found] == [list(found[0])] * 3
     wanted = ("base.x", "base.x.sigma", "joints.lift", "joints.lift.sigma")

@@ -1,7 +1,7 @@
 """Where the marks of a drift chart stand: numbers over time, in the units of an SVG's view box."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -66,7 +66,7 @@ class Chart:
     y_ticks: tuple[tuple[float, str], ...]
 
 
-def chart(title: str, unit: str, series: dict[str, Sequence[Point]]) -> Chart:
+def chart(title: str, unit: str, series: Mapping[str, Sequence[Point]]) -> Chart:
     """Lays out a chart.
 
     Args:
