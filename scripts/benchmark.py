@@ -1,12 +1,13 @@
 """Measure torchcal beside other programs; each measurement writes its section of benchmarks.md."""
 
 import tyro
-from benchmarks import localise, render, solver
+from benchmarks import fleet, localise, render, solver
 
 COMMANDS = {
     "solver": solver.measure,
     "render": render.measure,
     "localise": localise.measure,
+    "fleet": fleet.measure,
 }
 
 

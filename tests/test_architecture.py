@@ -18,7 +18,18 @@ SOURCES = [
     *sorted((ROOT / "tests").glob("*.py")),
     *sorted((ROOT / "scripts").glob("*.py")),
 ]
-ROOMS = {"cli", "demo", "display", "calibrate", "render", "match", "solve", "model", "geometry"}
+ROOMS = {
+    "cli",
+    "demo",
+    "display",
+    "fleet",
+    "calibrate",
+    "render",
+    "match",
+    "solve",
+    "model",
+    "geometry",
+}
 FILE_LINES, FUNCTION_LINES = 300, 50
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

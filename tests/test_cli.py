@@ -162,7 +162,9 @@ def test_mistyped_commands_end_with_two(arguments, capsys):
     assert ending.value.code == 2
 
 
-@pytest.mark.parametrize("arguments", [[], ["calibrate"], ["render"], ["check"], ["demo"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["calibrate"], ["render"], ["check"], ["batch"], ["demo"]]
+)
 def test_help_ends_with_zero(arguments, capsys):
     with pytest.raises(SystemExit) as ending:
         main([*arguments, "--help"])

@@ -6,6 +6,7 @@ Every command is a call or two of what stands here::
     torchcal follow       read_recording, follow
     torchcal render       read_job, predict
     torchcal check        read_job, check
+    torchcal batch        as calibrate, for many jobs
     torchcal demo         make_demo, then as calibrate
 """
 

@@ -10,8 +10,9 @@ from typing import Any
 from rich.console import Console
 
 from torchcal.cli import commands
+from torchcal.cli.batch import run_batch
 from torchcal.cli.follow import run_follow
-from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Render, parse
+from torchcal.cli.options import Batch, Calibrate, Check, Command, Demo, Follow, Render, parse
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -44,5 +45,6 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
         Follow: run_follow,
         Render: commands.run_render,
         Check: commands.run_check,
+        Batch: run_batch,
         Demo: commands.run_demo,
     }[type(command)]

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from torchcal.fleet.table import RobotBy
+
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 JobFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="JOB")]
 
@@ -81,6 +83,36 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Batch:
+    """Calibrate many jobs, one after the other or at once; run again, it goes on where it ended."""
+
+    jobs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="JOB...")]
+    """Job files, and folders of which every job.toml is taken."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for a result of each job, the table and the page; finished jobs there are kept."""
+    workers: Annotated[
+        int | None,
+        tyro.conf.arg(metavar="N", help_behavior_hint="(default: this process alone)"),
+    ] = None
+    """Processes of one thread each; with --ray, most jobs at once."""
+    ray: Annotated[
+        str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")
+    ] = None
+    """Run on a Ray cluster; local starts one here."""
+    attempts: Annotated[int, tyro.conf.arg(metavar="N")] = 3
+    """How often a job is tried that fails or whose worker is killed."""
+    robot: Annotated[
+        RobotBy | None,
+        tyro.conf.arg(
+            metavar="{folder,job,urdf}",
+            help_behavior_hint="(default: folder for jobs in folders of folders, else urdf)",
+        ),
+    ] = None
+    """What tells robots apart: the folder above the job's, the job's own, or the URDF's name."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Demo:
     """Make a robot, a cell and a recording, calibrate it, compare with the truth."""
 
@@ -89,13 +121,14 @@ class Demo:
     options: Shared = Options()
 
 
-Command = Calibrate | Follow | Render | Check | Demo
+Command = Calibrate | Follow | Render | Check | Batch | Demo
 
 COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
     "follow": Follow,
     "render": Render,
     "check": Check,
+    "batch": Batch,
     "demo": Demo,
 }
 

@@ -2,10 +2,11 @@
 
 import ctypes
 import os
+import re
 import secrets
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePath
 
@@ -15,11 +16,14 @@ MARKERS = ("result.json", "preview")
 """What every folder that torchcal wrote holds, here or in ``result`` (the demo)."""
 
 WRITTEN = ("result.json", "frames.jsonl", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
-WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png")
+WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png", "batch.json")
 """Files that torchcal writes."""
 
 WRITTEN_FOLDERS = ("meshes", "job")
 """Folders whose files have names that the robot or the demo choose."""
+
+_LEFTOVER = re.compile(r"\.(.+)\.(partial|old)-[0-9a-f]{8}")
+"""What a folder is called while it is written or replaced."""
 
 
 @contextmanager
@@ -124,6 +128,23 @@ def _texts(value: object) -> Iterator[str]:
     elif isinstance(value, list):
         for each in value:
             yield from _texts(each)
+
+
+def clear_leftovers(folders: Iterable[Path]) -> None:
+    """Removes what killed processes left half written beside these folders, or half replaced."""
+    names: dict[Path, set[str]] = {}
+    for folder in folders:
+        target = folder.resolve()
+        names.setdefault(target.parent, set()).add(target.name)
+    for parent, known in names.items():
+        for path in list(parent.iterdir()) if parent.is_dir() else ():
+            found = _LEFTOVER.fullmatch(path.name)
+            if found is None or found[1] not in known:
+                continue
+            if found[2] == "old" and not (parent / found[1]).exists():
+                path.rename(parent / found[1])
+            else:
+                shutil.rmtree(path, ignore_errors=True)
 
 
 def _partial(target: Path) -> Path:
