@@ -72,6 +72,21 @@ def compare(
     )
 
 
+def reclassified(comparison: FrameComparison, alpha: float) -> FrameComparison:
+    """The same comparison judged with another alpha of eq. 5.
+
+    What was not compared, such as a beam that is half beside the model, depends on no alpha.
+
+    Raises:
+        ValueError: If ``alpha`` is not positive.
+    """
+    if not alpha > 0.0:
+        raise ValueError(f"found alpha {alpha}; expected more than 0")
+    compared = comparison.label != PixelClass.NOT_COMPARED
+    label = classify(comparison.measured, comparison.predicted, comparison.sigma, compared, alpha)
+    return replace(comparison, label=label)
+
+
 def without_range_error(
     comparison: FrameComparison, offset: float, scale: float
 ) -> FrameComparison:
