@@ -61,15 +61,17 @@ def compare(
         The belief with the noise's sigma enlarged where the residuals are larger than it says, and
         the comparisons made with it.
     """
-    poses = parameters.bodies_in_sensor(belief.state).float()
-    frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
-    shown = [_shown(scene, poses[k], frame, job.sensor, belief) for k, frame in enumerate(frames)]
+    shown = _shown_frames(job, scene, parameters, belief)
     scale = belief.sigma_scale * _residual_scale(job, shown, belief)
     belief = replace(belief, sigma_scale=scale)
-    return belief, tuple(
-        _compare_frame(job, frame, prediction, belief)
-        for frame, prediction in zip(job.frames, shown, strict=True)
-    )
+    return belief, _compare_frames(job, shown, belief)
+
+
+def compare_as_believed(
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+) -> tuple[FrameComparison, ...]:
+    """The same with the noise as it is believed to be."""
+    return _compare_frames(job, _shown_frames(job, scene, parameters, belief), belief)
 
 
 def reclassified(comparison: FrameComparison, alpha: float) -> FrameComparison:
@@ -96,6 +98,23 @@ def without_range_error(
         measured=(comparison.measured - offset) / (1.0 + scale),
         predicted=(comparison.predicted - offset) / (1.0 + scale),
         sigma=comparison.sigma / (1.0 + scale),
+    )
+
+
+def _shown_frames(
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+) -> list[_Shown]:
+    poses = parameters.bodies_in_sensor(belief.state).float()
+    frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
+    return [_shown(scene, poses[k], frame, job.sensor, belief) for k, frame in enumerate(frames)]
+
+
+def _compare_frames(
+    job: Job, shown: list[_Shown], belief: Belief
+) -> tuple[FrameComparison, ...]:
+    return tuple(
+        _compare_frame(job, frame, prediction, belief)
+        for frame, prediction in zip(job.frames, shown, strict=True)
     )
 
 

@@ -1,0 +1,193 @@
+"""Objects that stand elsewhere than the model says (section 2.5).
+
+What the images show nearer than the model without an object may be that object at another place:
+its own mesh is laid onto those points, fitted to the pixels, and kept where they bear it out
+better than the object at its old place or none at all.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchcal.calibrate.compare import Belief
+from torchcal.calibrate.mechanism import centre_of
+from torchcal.calibrate.observation import Observation, grown, observe
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.regions import Region, RegionKind, interior
+from torchcal.calibrate.result import FrameComparison
+from torchcal.calibrate.search import find_candidates
+from torchcal.geometry import robust, se3
+from torchcal.geometry.projection import pixel_grid
+from torchcal.model.job import Job, PosePrior
+from torchcal.model.scene import Scene, Surface, without_bodies
+from torchcal.render.synthesis import synthesise
+from torchcal.solve.gauss_newton import GaussNewtonConfig, minimise, shared
+
+SHIFT, TURN = 0.15, math.radians(10.0)
+"""m, rad: standard deviations of where an object that was moved may stand."""
+REACH = 0.5
+"""m beyond its own outline: how far from its place an object is looked for."""
+SUSPICIOUS = 0.1
+"""Share of an object's pixels that must differ before it is looked for elsewhere."""
+LEAST_POINTS = 30
+"""Pixels in all frames on which a mesh is laid."""
+DECISIVE = 10.0
+"""Difference of robust costs that noise does not reach: a likelihood ratio of 20,000."""
+GAIN = 0.9
+"""Largest share of the cost that may be left: models are a little wrong everywhere."""
+FIT = GaussNewtonConfig(iterations=12, ripple=0.005)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Looked:
+    """A recording against its model."""
+
+    job: Job
+    scene: Scene
+    parameters: Parameters
+    belief: Belief
+    comparisons: tuple[FrameComparison, ...]
+    """In true ranges."""
+    regions: tuple[tuple[Region, ...], ...]
+    """Of each frame."""
+
+
+def find_moved(looked: Looked, generator: torch.Generator) -> dict[str, Float[Tensor, "4 4"]]:
+    """``T_world_object`` of the objects that the images show at another place than the model.
+
+    Objects whose pose the job declares unknown are left to the estimate.
+    """
+    found = {}
+    for index in suspects(looked):
+        T_world_object = _place_of(looked, index, generator)
+        if T_world_object is not None:
+            found[looked.scene.bodies[index].name] = T_world_object
+    return found
+
+
+def suspects(looked: Looked) -> list[int]:
+    """The bodies of the world of which a good part of the pixels is nearer or farther."""
+    kinds = (RegionKind.NEARER, RegionKind.FARTHER)
+    accused = []
+    for index, body in enumerate(looked.scene.bodies):
+        if body.link is not None or body.name in looked.job.objects:
+            continue
+        differing = sum(
+            region.bodies.get(index, 0)
+            for found in looked.regions
+            for region in found
+            if region.kind in kinds
+        )
+        shown = sum(int((c.usable & (c.body == index)).sum()) for c in looked.comparisons)
+        if differing >= max(LEAST_POINTS, SUSPICIOUS * shown):
+            accused.append(index)
+    return accused
+
+
+def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor | None:
+    """Where the images show the object; None where they do not."""
+    others = without_bodies(looked.scene.surface, [index])
+    if not len(others.faces):
+        return None
+    observation = observe(looked.job)
+    foreign = _foreign(looked, index, others)
+    beam = looked.job.sensor.beam
+    pure = torch.stack([interior(mask, beam) for mask in foreign]) & observation.measured
+    if int(pure.sum()) < LEAST_POINTS:
+        return None
+    alone = _alone(looked, index)
+    surface = looked.scene.surface
+    states = find_candidates(observation.without(~pure), surface, alone, generator)
+    fit = RangeFit(
+        observation=_around(_with_drift(observation, looked.belief), looked, foreign, index),
+        surface=surface,
+        parameters=alone,
+        cutoff=robust.EFFICIENT,
+        drift=None,
+        sigma_scale=looked.belief.sigma_scale,
+    )
+    solution = minimise(shared(fit.evaluate), alone.retract, states, FIT)
+    cost, best = solution.equations.cost.min(0)
+    stays = fit.evaluate(alone.nominal[None]).cost[0]
+    gone = replace(fit, surface=others).evaluate(alone.nominal[None]).cost[0]
+    if not cost + DECISIVE < GAIN * torch.minimum(stays, gone):
+        return None
+    return alone.object_poses(solution.state[best])[-1]
+
+
+def _foreign(looked: Looked, index: int, others: Surface) -> Bool[Tensor, "frame h w"]:
+    """Pixels near the object that show something nearer than the model without it."""
+    job, scene, state = looked.job, looked.scene, looked.belief.state
+    sensors = looked.parameters.sensor_poses(state)
+    poses = looked.parameters.bodies_in_sensor(state)
+    points = scene.surface.vertices[scene.surface.vertex_body == index].double()
+    middle = centre_of(scene, index)
+    reach = float((points - middle).norm(dim=-1).max()) + REACH
+    masks = []
+    for frame, T_world_sensor, Ts in zip(looked.comparisons, sensors, poses, strict=True):
+        behind = synthesise(others, Ts.float(), job.sensor).range
+        known = torch.where(
+            frame.sigma.isfinite(), frame.sigma, job.sensor.noise.sigma(frame.measured)
+        )
+        nearer = ~(frame.measured > behind - job.alpha * known) & frame.measured.isfinite()
+        centre = se3.transform(Ts[index], middle[None])[0]
+        masks.append(nearer & frame.usable & (_distances(job, frame, centre) < reach))
+    return torch.stack(masks)
+
+
+def _distances(job: Job, frame: FrameComparison, p_sensor: Tensor) -> Float[Tensor, "h w"]:
+    """How far (m) what every pixel measured is from a point in the sensor's frame."""
+    projection = job.sensor.projection
+    grid = pixel_grid(projection, dtype=torch.float64, device=frame.measured.device)
+    return (frame.measured[..., None] * projection.rays(*grid) - p_sensor).norm(dim=-1)
+
+
+def _alone(looked: Looked, index: int) -> Parameters:
+    """The pose of one object as the only unknown, about where the model has it."""
+    name, old = looked.scene.bodies[index].name, looked.parameters
+    sigma = torch.tensor([SHIFT] * 3 + [TURN] * 3).to(old.prior_sigma)
+    job = replace(looked.job, objects={**looked.job.objects, name: PosePrior(sigma=sigma)})
+    new = Parameters.of(job, looked.scene)
+    place = new.mechanism.slots.of_objects.stop - 1
+    state = looked.belief.state
+    columns = new.columns.unflatten(0, (-1, 6))[place].any(0)
+    return replace(
+        new,
+        names=tuple(n for n, own in zip(new.names, columns.tolist(), strict=True) if own),
+        units=tuple(u for u, own in zip(new.units, columns.tolist(), strict=True) if own),
+        prior_sigma=new.prior_sigma[columns],
+        columns=new.columns[:, columns],
+        nominal=torch.cat([state[:place], new.nominal[place : place + 1], state[place:]]),
+    )
+
+
+def _with_drift(observation: Observation, belief: Belief) -> Observation:
+    drift = torch.full_like(observation.sigma, belief.drift_sigma)
+    return replace(observation, sigma=torch.hypot(observation.sigma, drift))
+
+
+def _around(
+    observation: Observation, looked: Looked, foreign: Tensor, index: int
+) -> Observation:
+    """The pixels in and beside which the object is or may be, cut out."""
+    beam = max(looked.job.sensor.beam, 1)
+    shown = torch.stack([frame.body == index for frame in looked.comparisons])
+    near = grown(foreign | shown, beam + 1)
+    rows, columns = (near.any(0).any(axis).nonzero()[:, 0] for axis in (1, 0))
+    height, width = near.shape[1:]
+    top, bottom = max(int(rows[0]) - beam, 0), min(int(rows[-1]) + 1 + beam, height)
+    left, right = max(int(columns[0]) - beam, 0), min(int(columns[-1]) + 1 + beam, width)
+    sensor = observation.sensor
+    projection = sensor.projection.cropped(left, top, right - left, bottom - top)
+    part = (slice(None), slice(top, bottom), slice(left, right))
+    return Observation(
+        sensor=replace(sensor, projection=projection),
+        range=observation.range[part],
+        measured=(observation.measured & near)[part],
+        sigma=observation.sigma[part],
+    )
