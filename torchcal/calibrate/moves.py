@@ -15,12 +15,12 @@ from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.mechanism import centre_of
+from torchcal.calibrate.nearest_fit import NearestFit
 from torchcal.calibrate.observation import Observation, grown, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.regions import Region, RegionKind, interior
 from torchcal.calibrate.result import FrameComparison
-from torchcal.calibrate.search import find_candidates
 from torchcal.geometry import robust, se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Job, PosePrior
@@ -40,6 +40,10 @@ DECISIVE = 10.0
 """Difference of robust costs that noise does not reach: a likelihood ratio of 20,000."""
 GAIN = 0.9
 """Largest share of the cost that may be left: models are a little wrong everywhere."""
+STARTS, BEST, POINTS = 12, 2, 150
+"""Poses from which the mesh is laid onto the points, those that go on to the pixels, and points of
+each frame."""
+LAY = GaussNewtonConfig(iterations=15, ripple=0.01)
 FIT = GaussNewtonConfig(iterations=12, ripple=0.005)
 
 
@@ -102,7 +106,7 @@ def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor 
         return None
     alone = _alone(looked, index)
     surface = looked.scene.surface
-    states = find_candidates(observation.without(~pure), surface, alone, generator)
+    states = _laid_on(observation.without(~pure), _only(surface, index), alone, generator)
     fit = RangeFit(
         observation=_around(_with_drift(observation, looked.belief), looked, foreign, index),
         surface=surface,
@@ -118,6 +122,30 @@ def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor 
     if not cost + DECISIVE < GAIN * torch.minimum(stays, gone):
         return None
     return alone.object_poses(solution.state[best])[-1]
+
+
+def _only(surface: Surface, index: int) -> Surface:
+    """The surface of one body."""
+    bodies = int(surface.vertex_body.max()) + 1
+    return without_bodies(surface, [body for body in range(bodies) if body != index])
+
+
+def _laid_on(
+    points: Observation, surface: Surface, alone: Parameters, generator: torch.Generator
+) -> Float[Tensor, "start slot 4 4"]:
+    """The object's poses in which its surface lies best on measured points (3.5)."""
+    nominal = alone.nominal.expand(STARTS, *alone.nominal.shape)
+    steps = torch.randn(STARTS, len(alone.names), generator=generator, dtype=torch.float64)
+    steps[0] = 0.0
+    states = alone.retract(nominal, steps.to(alone.prior_sigma) * alone.prior_sigma)
+    seen_from = alone.nominal
+    for _ in range(2):
+        fit = NearestFit.of(points, surface, alone, seen_from, count=POINTS, generator=generator)
+        solution = minimise(shared(fit.evaluate), alone.retract, states, LAY)
+        order = solution.equations.cost.nan_to_num(torch.inf).argsort()
+        # The sides that are seen from the first fit are not those seen from the old place.
+        seen_from, states = solution.state[order[0]], solution.state[order[: 2 * BEST]]
+    return states[:BEST]
 
 
 def _foreign(looked: Looked, index: int, others: Surface) -> Bool[Tensor, "frame h w"]:
