@@ -10,6 +10,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.range_fit import FILLED
 from torchcal.calibrate.result import FrameComparison, PixelClass
+from torchcal.calibrate.spread import Drawn, drawn_states, moves_far
 from torchcal.geometry import gaussian, robust
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Frame, Job
@@ -101,17 +102,14 @@ def without_range_error(
     )
 
 
-def _shown_frames(
-    job: Job, scene: Scene, parameters: Parameters, belief: Belief
-) -> list[_Shown]:
-    poses = parameters.bodies_in_sensor(belief.state).float()
+def _shown_frames(job: Job, scene: Scene, parameters: Parameters, belief: Belief) -> list[_Shown]:
     frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
-    return [_shown(scene, poses[k], frame, job.sensor, belief) for k, frame in enumerate(frames)]
+    return [
+        _shown(scene, parameters, belief, job.sensor, k, frame) for k, frame in enumerate(frames)
+    ]
 
 
-def _compare_frames(
-    job: Job, shown: list[_Shown], belief: Belief
-) -> tuple[FrameComparison, ...]:
+def _compare_frames(job: Job, shown: list[_Shown], belief: Belief) -> tuple[FrameComparison, ...]:
     return tuple(
         _compare_frame(job, frame, prediction, belief)
         for frame, prediction in zip(job.frames, shown, strict=True)
@@ -119,21 +117,46 @@ def _compare_frames(
 
 
 def _shown(
-    scene: Scene, poses: Tensor, prediction: Prediction, sensor: Sensor, belief: Belief
+    scene: Scene,
+    parameters: Parameters,
+    belief: Belief,
+    sensor: Sensor,
+    k: int,
+    prediction: Prediction,
 ) -> _Shown:
-    synthesis, active = prediction.synthesis, prediction.active
+    synthesis = prediction.synthesis
     modelled = (synthesis.coverage > FILLED) & prediction.range.isfinite()
-    P = belief.covariance[active[:, None], active].to(prediction.jacobian)
-    none = torch.zeros_like(prediction.range)
+    poses = parameters.bodies_in_sensor(belief.state)[k].float()
     colour, normal, body = _appearance(scene, poses, synthesis, sensor)
     return _Shown(
         range=torch.where(modelled, prediction.range, torch.nan),
         mixed=~modelled & (synthesis.coverage > EMPTY),
-        spread=gaussian.predicted_sigma(prediction.jacobian, P, none),
+        spread=_spread(scene, parameters, belief, sensor, k, prediction, body),
         colour=colour,
         normal=normal,
         body=body,
     )
+
+
+def _spread(
+    scene: Scene,
+    parameters: Parameters,
+    belief: Belief,
+    sensor: Sensor,
+    k: int,
+    prediction: Prediction,
+    body: Tensor,
+) -> Float[Tensor, "h w"]:
+    """What the uncertain parameters add to sigma' of eq. 4 (m)."""
+    active, ranges = prediction.active, prediction.synthesis.range
+    P = belief.covariance[active[:, None], active].to(prediction.jacobian)
+    tangent = gaussian.predicted_sigma(prediction.jacobian, P, torch.zeros_like(ranges))
+    motion = parameters.motion(belief.state, k).to(ranges)
+    if not moves_far(ranges, body, motion, P, sensor):
+        return tangent
+    states = drawn_states(parameters, belief.state, belief.covariance)
+    drawn = Drawn.of(scene.surface, parameters.bodies_in_sensor(states)[:, k], sensor)
+    return torch.maximum(tangent, drawn.spread_about(ranges))
 
 
 def _sigma(prediction: _Shown, sensor: Sensor, belief: Belief) -> Tensor:

@@ -6,7 +6,6 @@ better than the object at its old place or none at all.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -151,13 +150,12 @@ def _laid_on(
 def _foreign(looked: Looked, index: int, others: Surface) -> Bool[Tensor, "frame h w"]:
     """Pixels near the object that show something nearer than the model without it."""
     job, scene, state = looked.job, looked.scene, looked.belief.state
-    sensors = looked.parameters.sensor_poses(state)
     poses = looked.parameters.bodies_in_sensor(state)
     points = scene.surface.vertices[scene.surface.vertex_body == index].double()
     middle = centre_of(scene, index)
     reach = float((points - middle).norm(dim=-1).max()) + REACH
     masks = []
-    for frame, T_world_sensor, Ts in zip(looked.comparisons, sensors, poses, strict=True):
+    for frame, Ts in zip(looked.comparisons, poses, strict=True):
         behind = synthesise(others, Ts.float(), job.sensor).range
         known = torch.where(
             frame.sigma.isfinite(), frame.sigma, job.sensor.noise.sigma(frame.measured)
@@ -199,9 +197,7 @@ def _with_drift(observation: Observation, belief: Belief) -> Observation:
     return replace(observation, sigma=torch.hypot(observation.sigma, drift))
 
 
-def _around(
-    observation: Observation, looked: Looked, foreign: Tensor, index: int
-) -> Observation:
+def _around(observation: Observation, looked: Looked, foreign: Tensor, index: int) -> Observation:
     """The pixels in and beside which the object is or may be, cut out."""
     beam = max(looked.job.sensor.beam, 1)
     shown = torch.stack([frame.body == index for frame in looked.comparisons])

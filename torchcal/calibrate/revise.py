@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.absence import with_absent
 from torchcal.calibrate.compare import Belief, compare_as_believed, without_range_error
 from torchcal.calibrate.moves import Looked, find_moved
 from torchcal.calibrate.parameters import Parameters
@@ -46,7 +47,7 @@ def revise(
     true = _in_true_ranges(comparisons, estimate)
     looked = _look(job, scene, parameters, belief, true)
     known = {name: estimate.Ts_world_object[name] for name in estimate.moved}
-    first = _verdicts(looked, known)
+    first = with_absent(looked, _verdicts(looked, known), generator)
     places = find_moved(looked, generator)
     while True:
         gone = [name for name in _removed(first) if name not in places]
