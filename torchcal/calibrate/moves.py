@@ -9,39 +9,51 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.mechanism import centre_of
 from torchcal.calibrate.nearest_fit import NearestFit
-from torchcal.calibrate.observation import Observation, grown, observe
+from torchcal.calibrate.observation import Observation, coarser, grown, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
-from torchcal.calibrate.regions import Region, RegionKind, interior
+from torchcal.calibrate.refine import coarse_factor
+from torchcal.calibrate.regions import Region, interior
 from torchcal.calibrate.result import FrameComparison
-from torchcal.geometry import robust, se3
+from torchcal.geometry import gaussian, robust, se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Job, PosePrior
 from torchcal.model.scene import Scene, Surface, without_bodies
 from torchcal.render.synthesis import synthesise
-from torchcal.solve.gauss_newton import GaussNewtonConfig, minimise, shared
+from torchcal.solve.gauss_newton import (
+    GaussNewtonConfig,
+    Solution,
+    covariance,
+    minimise,
+    shared,
+)
 
 SHIFT, TURN = 0.15, math.radians(10.0)
 """m, rad: standard deviations of where an object that was moved may stand."""
 REACH = 0.5
 """m beyond its own outline: how far from its place an object is looked for."""
 SUSPICIOUS = 0.1
-"""Share of an object's pixels that must differ before it is looked for elsewhere."""
+"""Of an object's pixels: what differs on and beside it must be more before it is looked for."""
+TOUCHING = 3
+"""Pixels within which a region is beside an object."""
 LEAST_POINTS = 30
 """Pixels in all frames on which a mesh is laid."""
 DECISIVE = 10.0
 """Difference of robust costs that noise does not reach: a likelihood ratio of 20,000."""
 GAIN = 0.9
 """Largest share of the cost that may be left: models are a little wrong everywhere."""
-STARTS, BEST, POINTS = 12, 2, 150
-"""Poses from which the mesh is laid onto the points, those that go on to the pixels, and points of
-each frame."""
+STARTS, POINTS = 12, 150
+"""Poses from which the mesh is laid onto the points, and points of each frame."""
+OPEN = 0.3
+"""Share of the prior's sigma that is left of a direction which nothing tells."""
+FARTHEST, STEPS = 1.5, 13
+"""Prior sigmas to both sides, and the poses between them, in which such a direction is tried."""
 LAY = GaussNewtonConfig(iterations=15, ripple=0.01)
 FIT = GaussNewtonConfig(iterations=12, ripple=0.005)
 
@@ -74,22 +86,30 @@ def find_moved(looked: Looked, generator: torch.Generator) -> dict[str, Float[Te
 
 
 def suspects(looked: Looked) -> list[int]:
-    """The bodies of the world of which a good part of the pixels is nearer or farther."""
-    kinds = (RegionKind.NEARER, RegionKind.FARTHER)
-    accused = []
-    for index, body in enumerate(looked.scene.bodies):
-        if body.link is not None or body.name in looked.job.objects:
-            continue
-        differing = sum(
-            region.bodies.get(index, 0)
-            for found in looked.regions
-            for region in found
-            if region.kind in kinds
-        )
-        shown = sum(int((c.usable & (c.body == index)).sum()) for c in looked.comparisons)
-        if differing >= max(LEAST_POINTS, SUSPICIOUS * shown):
-            accused.append(index)
-    return accused
+    """The bodies of the world that regions touch which are no trifle beside them.
+
+    What was pushed towards the sensor covers mostly other bodies with what is new.
+    """
+    differing = torch.zeros(len(looked.scene.bodies), dtype=torch.int64)
+    shown = torch.zeros_like(differing)
+    for frame, regions in zip(looked.comparisons, looked.regions, strict=True):
+        shown += _pixels(frame.body[frame.usable], len(shown))
+        for region in regions:
+            beside = grown(region.mask[None].to(frame.body.device), TOUCHING)[0]
+            touched = _pixels(frame.body[beside], len(shown)) > 0
+            differing[touched] += region.pixels
+    return [
+        index
+        for index, body in enumerate(looked.scene.bodies)
+        if body.link is None
+        and body.name not in looked.job.objects
+        and differing[index] >= max(LEAST_POINTS, SUSPICIOUS * int(shown[index]))
+    ]
+
+
+def _pixels(body: Tensor, bodies: int) -> Int[Tensor, " body"]:
+    """How many pixels show each body."""
+    return torch.bincount(body[body >= 0].flatten().cpu(), minlength=bodies)
 
 
 def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor | None:
@@ -103,9 +123,7 @@ def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor 
     pure = torch.stack([interior(mask, beam) for mask in foreign]) & observation.measured
     if int(pure.sum()) < LEAST_POINTS:
         return None
-    alone = _alone(looked, index)
-    surface = looked.scene.surface
-    states = _laid_on(observation.without(~pure), _only(surface, index), alone, generator)
+    alone, surface = _alone(looked, index), looked.scene.surface
     fit = RangeFit(
         observation=_around(_with_drift(observation, looked.belief), looked, foreign, index),
         surface=surface,
@@ -114,13 +132,15 @@ def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor 
         drift=None,
         sigma_scale=looked.belief.sigma_scale,
     )
-    solution = minimise(shared(fit.evaluate), alone.retract, states, FIT)
-    cost, best = solution.equations.cost.min(0)
-    stays = fit.evaluate(alone.nominal[None]).cost[0]
-    gone = replace(fit, surface=others).evaluate(alone.nominal[None]).cost[0]
-    if not cost + DECISIVE < GAIN * torch.minimum(stays, gone):
+    laid = _laid_on(observation.without(~pure), _only(surface, index), alone, generator)
+    coarse = coarser(fit.observation, coarse_factor(observation))
+    start = _slid(replace(fit, observation=coarse), laid)
+    solution = minimise(shared(fit.evaluate), alone.retract, start, FIT)
+    stays = fit.evaluate(alone.nominal[None]).cost
+    gone = replace(fit, surface=others).evaluate(alone.nominal[None]).cost
+    if not solution.equations.cost + DECISIVE < GAIN * torch.minimum(stays, gone):
         return None
-    return alone.object_poses(solution.state[best])[-1]
+    return alone.object_poses(solution.state[0])[-1]
 
 
 def _only(surface: Surface, index: int) -> Surface:
@@ -131,20 +151,48 @@ def _only(surface: Surface, index: int) -> Surface:
 
 def _laid_on(
     points: Observation, surface: Surface, alone: Parameters, generator: torch.Generator
-) -> Float[Tensor, "start slot 4 4"]:
-    """The object's poses in which its surface lies best on measured points (3.5)."""
+) -> Solution:
+    """The object's pose in which its surface lies best on measured points (3.5)."""
     nominal = alone.nominal.expand(STARTS, *alone.nominal.shape)
     steps = torch.randn(STARTS, len(alone.names), generator=generator, dtype=torch.float64)
     steps[0] = 0.0
-    states = alone.retract(nominal, steps.to(alone.prior_sigma) * alone.prior_sigma)
-    seen_from = alone.nominal
-    for _ in range(2):
-        fit = NearestFit.of(points, surface, alone, seen_from, count=POINTS, generator=generator)
-        solution = minimise(shared(fit.evaluate), alone.retract, states, LAY)
-        order = solution.equations.cost.nan_to_num(torch.inf).argsort()
-        # The sides that are seen from the first fit are not those seen from the old place.
-        seen_from, states = solution.state[order[0]], solution.state[order[: 2 * BEST]]
-    return states[:BEST]
+    starts = alone.retract(nominal, steps.to(alone.prior_sigma) * alone.prior_sigma)
+    first = _laid(points, surface, alone, alone.nominal, starts, generator)
+    # The sides that are seen at the new place are not those seen at the old one.
+    return _laid(points, surface, alone, first.state[0], first.state, generator)
+
+
+def _laid(
+    points: Observation,
+    surface: Surface,
+    alone: Parameters,
+    seen_at: Tensor,
+    starts: Tensor,
+    generator: torch.Generator,
+) -> Solution:
+    """The best pose, with the sides of the object that are seen at one state."""
+    fit = NearestFit.of(points, surface, alone, seen_at, count=POINTS, generator=generator)
+    solution = minimise(shared(fit.evaluate), alone.retract, starts, LAY)
+    best = int(solution.equations.cost.nan_to_num(torch.inf).argmin())
+    return minimise(shared(fit.evaluate), alone.retract, solution.state[best : best + 1], LAY)
+
+
+def _slid(fit: RangeFit, laid: Solution) -> Float[Tensor, "1 slot 4 4"]:
+    """The best pose along the directions that points on its sides leave open, then fitted.
+
+    A box may slide along its own sides: only its outlines in the images say how far.
+    """
+    parameters, state = fit.parameters, laid.state
+    left, directions = gaussian.left_over(
+        covariance(laid.equations.information[0]), parameters.prior_sigma
+    )
+    grid = torch.linspace(-FARTHEST, FARTHEST, STEPS).to(state)
+    for direction in directions.mT[left > OPEN]:
+        steps = grid[:, None] * direction * parameters.prior_sigma
+        states = parameters.retract(state.expand(STEPS, *state.shape[1:]), steps)
+        best = int(fit.evaluate(states).cost.argmin())
+        state = states[best : best + 1]
+    return minimise(shared(fit.evaluate), parameters.retract, state, FIT).state
 
 
 def _foreign(looked: Looked, index: int, others: Surface) -> Bool[Tensor, "frame h w"]:
