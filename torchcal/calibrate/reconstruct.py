@@ -19,7 +19,7 @@ from torchcal.calibrate.result import AddedObject, Evidence
 from torchcal.geometry.projection import Projection, pixel_grid
 
 MOST_FACES = 2000
-"""Of one patch: enough for its shape in a browser, and a scene of dozens of patches stays light."""
+"""Of one object: enough for its shape in a browser, and a scene of dozens of them stays light."""
 
 STEEPEST = 6.0
 """Range step between pixels, in their widths, of a surface seen at 80 degrees; more is a jump."""
@@ -30,6 +30,10 @@ WIDEST_SMOOTHING = 21
 LEAST_SHARE = 0.05
 """Pieces of a patch with less of its faces are wild pixels at an edge, and patches that have less
 of the smaller one's points near the other do not touch."""
+
+
+ALIKE = 0.7
+"""Cosine of the angle (45 degrees) within which faces of two patches may be of one side."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,7 +89,7 @@ def mesh_of_region(
     u, v = (c.cpu()[crop] for c in pixel_grid(projection, dtype=torch.float64, device=mask.device))
     p_sensor = (projection.rays(u, v) * torch.from_numpy(smooth)[..., None]).reshape(-1, 3)
     mesh = trimesh.Trimesh(p_sensor[used].numpy(), numbers.reshape(-1, 3), process=False)
-    mesh = simplified(turned_to_sensor(mesh))
+    mesh = turned_to_sensor(mesh)
     mesh.apply_transform(T_world_sensor.double().cpu().numpy())
     mesh.metadata.update(source="range image", pixels=int(inside.sum()), sigma_m=sigma)
     return mesh
@@ -286,13 +290,33 @@ def _thinned(mesh: trimesh.Trimesh, cell: float) -> np.ndarray:
 
 def _object(name: str, group: Sequence[Patch]) -> AddedObject:
     frames = tuple(dict.fromkeys(patch.frame for patch in group))
-    starts = np.cumsum([0] + [len(patch.mesh.vertices) for patch in group])
-    mesh = trimesh.Trimesh(
-        np.concatenate([patch.mesh.vertices for patch in group]),
-        np.concatenate([p.mesh.faces + start for p, start in zip(group, starts, strict=False)]),
-        process=False,
-    )
+    mesh = simplified(_fused(group))
     pixels = sum(patch.mesh.metadata["pixels"] for patch in group)
     mesh.metadata.update(source="range image", frames=list(frames), pixels=pixels)
     evidence = Evidence(supporting=pixels, contradicting=0, hidden=0)
     return AddedObject(name=name, frames=frames, mesh=mesh, evidence=evidence)
+
+
+def _fused(group: Sequence[Patch]) -> trimesh.Trimesh:
+    """One mesh of several patches: of each side only the patch that shows most of it."""
+    first, *others = sorted(group, key=lambda patch: -patch.mesh.area)
+    mesh = first.mesh
+    for patch in others:
+        new = _beside(patch, mesh, math.hypot(patch.tolerance, first.tolerance))
+        mesh = trimesh.Trimesh(
+            np.concatenate([mesh.vertices, patch.mesh.vertices]),
+            np.concatenate([mesh.faces, new + len(mesh.vertices)]),
+            process=False,
+        )
+    mesh.remove_unreferenced_vertices()
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def _beside(patch: Patch, known: trimesh.Trimesh, reach: float) -> Int[np.ndarray, "face 3"]:
+    """The faces of a patch that do not lie on a known mesh: near it and turned alike."""
+    distance, nearest = KDTree(known.triangles_center).query(
+        patch.mesh.triangles_center, distance_upper_bound=reach
+    )
+    normals = np.concatenate([known.face_normals, np.zeros((1, 3))])[nearest]
+    alike = np.einsum("fi,fi->f", normals, patch.mesh.face_normals) > ALIKE
+    return patch.mesh.faces[~(np.isfinite(distance) & alike)]

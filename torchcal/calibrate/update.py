@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 from torch import Tensor
 
+from torchcal.calibrate.evidence import borne_out
 from torchcal.calibrate.reconstruct import Patch, merged_objects, mesh_of_region, pixel_width
 from torchcal.calibrate.regions import (
     Region,
@@ -116,7 +117,7 @@ def added_objects(
         for mask in new_surfaces(frame, found, job.world)
         if (patch := _patch(frame, mask, job.sensor, T)) is not None
     ]
-    return merged_objects(patches)
+    return borne_out(merged_objects(patches), job, comparisons, Ts_world_sensor)
 
 
 def object_verdict(
