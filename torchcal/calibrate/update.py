@@ -11,7 +11,8 @@ from scipy import ndimage
 from torch import Tensor
 
 from torchcal.calibrate.evidence import borne_out
-from torchcal.calibrate.reconstruct import Patch, merged_objects, mesh_of_region, pixel_width
+from torchcal.calibrate.patches import Patch, merged_objects
+from torchcal.calibrate.reconstruct import mesh_of_region, pixel_width
 from torchcal.calibrate.regions import (
     Region,
     RegionKind,
