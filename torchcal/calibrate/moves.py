@@ -133,14 +133,22 @@ def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor 
         sigma_scale=looked.belief.sigma_scale,
     )
     laid = _laid_on(observation.without(~pure), _only(surface, index), alone, generator)
-    coarse = coarser(fit.observation, coarse_factor(observation))
-    start = _slid(replace(fit, observation=coarse), laid)
-    solution = minimise(shared(fit.evaluate), alone.retract, start, FIT)
-    stays = fit.evaluate(alone.nominal[None]).cost
-    gone = replace(fit, surface=others).evaluate(alone.nominal[None]).cost
-    if not solution.equations.cost + DECISIVE < GAIN * torch.minimum(stays, gone):
-        return None
-    return alone.object_poses(solution.state[0])[-1]
+    coarse = replace(fit, observation=coarser(fit.observation, coarse_factor(observation)))
+    state = _slid(coarse, laid)
+    for each in (coarse, fit):
+        # Most suspects are let go before the full resolution is looked at.
+        solution = minimise(shared(each.evaluate), alone.retract, state, FIT)
+        state = solution.state
+        if not _is_gain(each, others, solution):
+            return None
+    return alone.object_poses(state[0])[-1]
+
+
+def _is_gain(fit: RangeFit, others: Surface, solution: Solution) -> bool:
+    """Whether the pixels bear a place out better than the old one, and than no object at all."""
+    old = fit.parameters.nominal[None]
+    stays, gone = (each.evaluate(old).cost for each in (fit, replace(fit, surface=others)))
+    return bool(solution.equations.cost + DECISIVE < GAIN * torch.minimum(stays, gone))
 
 
 def _only(surface: Surface, index: int) -> Surface:
@@ -178,7 +186,7 @@ def _laid(
 
 
 def _slid(fit: RangeFit, laid: Solution) -> Float[Tensor, "1 slot 4 4"]:
-    """The best pose along the directions that points on its sides leave open, then fitted.
+    """The best pose along the directions that points on its sides leave open.
 
     A box may slide along its own sides: only its outlines in the images say how far.
     """
@@ -192,7 +200,7 @@ def _slid(fit: RangeFit, laid: Solution) -> Float[Tensor, "1 slot 4 4"]:
         states = parameters.retract(state.expand(STEPS, *state.shape[1:]), steps)
         best = int(fit.evaluate(states).cost.argmin())
         state = states[best : best + 1]
-    return minimise(shared(fit.evaluate), parameters.retract, state, FIT).state
+    return state
 
 
 def _foreign(looked: Looked, index: int, others: Surface) -> Bool[Tensor, "frame h w"]:
