@@ -81,5 +81,5 @@ def test_the_papers_beam_keeps_its_angle(side, beam):
 def test_overlap_of_boxes_by_hand():
     unit = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     assert box_overlap(unit, unit) == 1.0
-    assert box_overlap(unit, unit + [0.5, 0.0, 0.0]) == pytest.approx(0.5 / 1.5)
+    assert box_overlap(unit, unit + np.array([0.5, 0.0, 0.0])) == pytest.approx(0.5 / 1.5)
     assert box_overlap(unit, unit + 2.0) == 0.0
