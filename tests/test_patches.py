@@ -1,12 +1,15 @@
 """Objects from patches: joined where they touch, each side once, light, and with provenance."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from torchcal.calibrate.patches import MOST_FACES, Patch, merged_objects, simplified
+from torchcal.model.world import World, WorldObject, write_world
 
 
 def sheet(side, centre, pixels=100):
@@ -71,6 +74,20 @@ def test_patches_of_two_frames_that_touch_are_one_object():
     assert (other.name, other.frames) == ("added_2", ("b",))
     assert one.mesh.metadata == {"source": "range image", "frames": ["a", "b"], "pixels": 200}
     assert one.mesh.extents == pytest.approx([0.4, 0.3, 0.0051])
+
+
+def test_provenance_stands_in_the_extras_of_the_file(tmp_path):
+    (item,) = merged_objects([Patch(frame="a", mesh=sheet(0.3, [0.0, 0.0, 1.0]), tolerance=0.01)])
+    eye = torch.eye(4, dtype=torch.float64)
+    new = WorldObject(name=item.name, mesh=item.mesh, T_world_object=eye)
+    write_world(World(objects=(new,)), tmp_path / "world.glb")
+    data = (tmp_path / "world.glb").read_bytes()
+    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    assert tree["meshes"][0]["extras"] == {
+        "source": "range image",
+        "frames": ["a"],
+        "pixels": 100,
+    }
 
 
 def test_things_farther_apart_than_the_tolerances_stay_apart():

@@ -51,10 +51,10 @@ def merged_objects(patches: Sequence[Patch]) -> tuple[AddedObject, ...]:
 
 def simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The mesh with a modest number of faces: flat sides stay flat, and outlines where they are."""
-    if len(mesh.faces) == 0:
+    if len(mesh.faces) == 0 or not mesh.area > 0.0:
         return mesh
     # Decimation takes an open mesh's border for a place without shape and eats it.
-    length = SKIRT * math.sqrt(2.0 * float(np.median(mesh.area_faces)))
+    length = SKIRT * math.sqrt(2.0 * mesh.area / len(mesh.faces))
     skirted = _skirted(mesh, length)
     points, faces = np.asarray(skirted.vertices), np.asarray(skirted.faces)
     points, faces = fast_simplification.simplify(points, faces, 0.5, lossless=True)
@@ -63,7 +63,7 @@ def simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     off, _ = KDTree(mesh.vertices).query(points)
     light = trimesh.Trimesh(points, faces[(off[faces] < 0.5 * length).all(1)], process=False)
     light.remove_unreferenced_vertices()
-    return light
+    return light if len(light.faces) else mesh
 
 
 def _skirted(mesh: trimesh.Trimesh, length: float) -> trimesh.Trimesh:
