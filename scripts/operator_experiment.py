@@ -130,9 +130,10 @@ def overlaps(trial: OperatorTrial, update: torchcal.Update) -> list[float]:
 def moved_off(trial: OperatorTrial, update: torchcal.Update) -> float | None:
     """How far (m) the moved object's new place is from the true one; None where it has none."""
     name, T = trial.changes.moved, trial.changes.T_world_moved
-    if name is None or T is None or update.verdicts[name].T_world_object is None:
+    found = None if name is None else update.verdicts[name].T_world_object
+    if T is None or found is None:
         return None
-    return float(np.linalg.norm(update.verdicts[name].T_world_object.numpy()[:3, 3] - T[:3, 3]))
+    return float(np.linalg.norm(found.numpy()[:3, 3] - T[:3, 3]))
 
 
 def is_right(options: Options, trial: dict[str, Any]) -> bool:

@@ -10,7 +10,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.range_fit import FILLED
 from torchcal.calibrate.result import FrameComparison, PixelClass
-from torchcal.calibrate.spread import Drawn, drawn_states, moves_far
+from torchcal.calibrate.spread import Drawn, drawn_steps, moves_far
 from torchcal.geometry import gaussian, robust
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Frame, Job
@@ -154,9 +154,13 @@ def _spread(
     motion = parameters.motion(belief.state, k).to(ranges)
     if not moves_far(ranges, body, motion, P, sensor):
         return tangent
-    states = drawn_states(parameters, belief.state, belief.covariance)
-    drawn = Drawn.of(scene.surface, parameters.bodies_in_sensor(states)[:, k], sensor)
-    return torch.maximum(tangent, drawn.spread_about(ranges))
+    steps = drawn_steps(belief.covariance)
+    states = belief.state.expand(len(steps), *belief.state.shape)
+    poses = parameters.bodies_in_sensor(parameters.retract(states, steps))[:, k]
+    drawn = Drawn.of(scene.surface, poses, sensor)
+    slopes = prediction.synthesis.jacobian
+    assert slopes is not None, "predictions come with their derivative"
+    return torch.hypot(tangent, drawn.beyond_tangent(ranges, slopes, steps[:, active]))
 
 
 def _sigma(prediction: _Shown, sensor: Sensor, belief: Belief) -> Tensor:

@@ -13,7 +13,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from torchcal.calibrate.observation import Observation, coarser, coarser_sensor
-from torchcal.calibrate.parameters import Parameters
 from torchcal.geometry import se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.scene import Surface
@@ -31,19 +30,15 @@ EVERY = 8
 """Of the pixels' rows and columns, one in so many tells how far the image moves."""
 
 
-def drawn_states(
-    parameters: Parameters,
-    state: Float[Tensor, "slot 4 4"],
+def drawn_steps(
     covariance: Float[Tensor, "parameter parameter"],
-) -> Float[Tensor, "draw slot 4 4"]:
-    """States that are spread as P says, always the same ones."""
-    count = len(parameters.names)
-    even = torch.quasirandom.SobolEngine(count, scramble=True, seed=0).draw(PAIRS)
+) -> Float[Tensor, "draw parameter"]:
+    """Steps of the parameters that are spread as P says, always the same ones."""
+    even = torch.quasirandom.SobolEngine(len(covariance), scramble=True, seed=0).draw(PAIRS)
     steps = torch.special.ndtri(even.double().clamp(1e-3, 1.0 - 1e-3)).to(covariance)
     value, vector = torch.linalg.eigh(covariance)
     steps = steps @ (vector * value.clamp(min=0.0).sqrt()).mT
-    steps = torch.cat([steps, -steps])
-    return parameters.retract(state.expand(len(steps), *state.shape), steps)
+    return torch.cat([steps, -steps])
 
 
 def moves_far(
@@ -96,11 +91,18 @@ class Drawn:
         images = synthesise(surface, poses.float(), coarser_sensor(sensor, factor))
         return Drawn(sensor=sensor, factor=factor, range=images.range)
 
-    def spread_about(self, ranges: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-        """Root mean square difference of the drawn images from a predicted one (m)."""
+    def beyond_tangent(
+        self,
+        ranges: Float[Tensor, "h w"],
+        jacobian: Float[Tensor, "h w active"],
+        steps: Float[Tensor, "draw active"],
+    ) -> Float[Tensor, "h w"]:
+        """Root mean square of what the tangent of a predicted image does not foresee (m)."""
         middle = coarser(_as_measured(ranges, self.sensor), self.factor)
+        slopes = functional.avg_pool2d(jacobian.movedim(-1, 0)[None], self.factor)[0]
+        foreseen = middle.range + torch.einsum("dp,phw->dhw", steps.to(slopes), slopes)
         known = self.range.isfinite() & middle.measured
-        square = torch.where(known, self.range - middle.range, 0.0).square().sum(0)
+        square = torch.where(known, self.range - foreseen, 0.0).square().sum(0)
         mean = square / known.sum(0).clamp(min=1)
         fine = functional.interpolate(mean[None, None], ranges.shape, mode="bilinear")
         return fine[0, 0].sqrt()

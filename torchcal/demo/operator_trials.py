@@ -153,7 +153,9 @@ def _box(rng: np.random.Generator) -> trimesh.Trimesh:
 
 
 def _standing(place: tuple[float, float], rng: np.random.Generator) -> Float[ndarray, "4 4"]:
-    T = trimesh.transformations.rotation_matrix(rng.uniform(0.0, math.pi), (0.0, 0.0, 1.0))
+    angle = rng.uniform(0.0, math.pi)
+    T = np.eye(4)
+    T[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     T[:2, 3] = place + rng.uniform(-JITTER, JITTER, 2)
     return T
 
