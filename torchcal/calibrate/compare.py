@@ -160,7 +160,9 @@ def _spread(
     drawn = Drawn.of(scene.surface, poses, sensor)
     slopes = prediction.synthesis.jacobian
     assert slopes is not None, "predictions come with their derivative"
-    return torch.hypot(tangent, drawn.beyond_tangent(ranges, slopes, steps[:, active]))
+    sigma = torch.hypot(tangent, sensor.noise.sigma(ranges))
+    beyond = drawn.beyond_tangent(ranges, slopes, steps[:, active], sigma)
+    return torch.hypot(tangent, beyond)
 
 
 def _sigma(prediction: _Shown, sensor: Sensor, belief: Belief) -> Tensor:

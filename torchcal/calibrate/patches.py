@@ -66,7 +66,9 @@ def simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return light if len(light.faces) else mesh
 
 
-def _decimated(mesh: trimesh.Trimesh, **settings: float) -> tuple[np.ndarray, np.ndarray]:
+def _decimated(
+    mesh: trimesh.Trimesh, **settings: bool | int | float
+) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces that ``fast_simplification`` leaves."""
     points, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
     light = fast_simplification.simplify(points, faces, **settings)

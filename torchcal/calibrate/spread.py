@@ -26,6 +26,8 @@ PAIRS = 16
 SIDE = 128
 """Pixels along the shorter side of the images in which drawn states are predicted: their edges are
 pixels apart."""
+STEP = 2.0
+"""Of sigma' by the tangent."""
 EVERY = 8
 """Of the pixels' rows and columns, one in so many tells how far the image moves."""
 
@@ -96,13 +98,19 @@ class Drawn:
         ranges: Float[Tensor, "h w"],
         jacobian: Float[Tensor, "h w active"],
         steps: Float[Tensor, "draw active"],
+        sigma: Float[Tensor, "h w"],
     ) -> Float[Tensor, "h w"]:
-        """Root mean square of what the tangent of a predicted image does not foresee (m)."""
+        """Root mean square of what the tangent of a predicted image does not foresee (m).
+
+        Less than ``STEP`` of ``sigma``, the bend of a face, is no step to another one.
+        """
         middle = coarser(_as_measured(ranges, self.sensor), self.factor)
         slopes = functional.avg_pool2d(jacobian.movedim(-1, 0)[None], self.factor)[0]
         foreseen = middle.range + torch.einsum("dp,phw->dhw", steps.to(slopes), slopes)
         known = self.range.isfinite() & middle.measured
-        square = torch.where(known, self.range - foreseen, 0.0).square().sum(0)
+        beyond = torch.where(known, self.range - foreseen, 0.0)
+        forgiven = STEP * functional.avg_pool2d(sigma.nan_to_num(0.0)[None, None], self.factor)[0]
+        square = torch.where(beyond.abs() > forgiven, beyond, 0.0).square().sum(0)
         mean = square / known.sum(0).clamp(min=1)
         fine = functional.interpolate(mean[None, None], ranges.shape, mode="bilinear")
         return fine[0, 0].sqrt()
