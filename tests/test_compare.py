@@ -8,7 +8,13 @@ import scenes
 import torch
 from recordings import CAMERA, EYE
 
-from torchcal.calibrate.compare import Belief, classify, compare, without_range_error
+from torchcal.calibrate.compare import (
+    Belief,
+    classify,
+    compare,
+    reclassified,
+    without_range_error,
+)
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import FrameComparison, PixelClass
@@ -163,6 +169,30 @@ def test_a_beam_half_beside_the_model_is_not_compared():
     columns = border.any(0).nonzero()[:, 0]
     assert 4 <= len(columns) <= 9  # of a beam of 9 pixels those that are less than 3/4 full
     assert border.all(0)[columns].all()
+
+
+@pytest.mark.parametrize("alpha", [1.0, 2.0, 3.0, 6.0])
+def test_another_alpha_gives_what_a_comparison_with_it_would_have(alpha):
+    sensor = recordings.sensor(CAMERA, beam=9)
+    half = scenes.sheet((-9.0, -9.0, WALL), (0.3, -9.0, WALL), (0.3, 9.0, WALL), (-9.0, 9.0, WALL))
+    job = recordings.hand_held(sensor, [EYE], error=torch.zeros(6, dtype=torch.float64))
+    measured = recordings.record([half, scenes.wall(2.0 * WALL)], EYE, sensor)
+    measured[10:12] = torch.nan
+    measured[20:24, :10] -= 0.5
+    frame = recordings.frame_of(measured, T_world_sensor=EYE)
+    frame.image.usable[30:32] = False
+    job = replace(job, world=recordings.world_of({"half": half}, complete=True), frames=(frame,))
+    (expected,) = compared(replace(job, alpha=alpha), certain())
+    (found,) = compared(replace(job, alpha=3.5), certain())
+    assert len(expected.label.unique()) == 6
+    again = reclassified(reclassified(found, 50.0), alpha)
+    torch.testing.assert_close(again.label, expected.label, atol=0, rtol=0)
+
+
+def test_no_alpha_below_zero():
+    (frame,) = compared(wall_job(), certain())
+    with pytest.raises(ValueError, match="alpha -1"):
+        reclassified(frame, -1.0)
 
 
 def test_a_known_range_error_taken_out_leaves_the_true_ranges_and_the_same_classes():

@@ -1,17 +1,11 @@
 """Meshes of regions: the right size and place, turned to the sensor, no bridges over jumps."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
-import trimesh
 from wall_comparison import BOX, NOISY, PINHOLE, SHAPE, scene, white
 
 from torchcal.calibrate.reconstruct import (
-    MOST_FACES,
-    Patch,
-    merged_objects,
     mesh_of_region,
     slopes,
     smoothing_side,
@@ -41,14 +35,6 @@ def mesh_of(
 ):
     mask = box_mask() if mask is None else mask
     return mesh_of_region(torch.from_numpy(ranges), mask, projection, T, sigma=sigma, beam=beam)
-
-
-def sheet(side, centre, pixels=100):
-    """A square of triangles across z."""
-    grid = trimesh.creation.box(extents=(side, side, 1e-4)).subdivide().subdivide()
-    grid.apply_translation(centre)
-    grid.metadata["pixels"] = pixels
-    return grid
 
 
 def test_a_flat_front_has_the_extents_of_its_pixels():
@@ -110,13 +96,6 @@ def test_slopes_are_those_of_a_plane_also_beside_its_border():
     assert slope_v[40, 60] == pytest.approx(0.03, rel=0.1)
 
 
-def test_large_regions_are_simplified_and_finite():
-    mesh = mesh_of(scene(2.7) + white(0, MILLIMETRE))
-    assert 0 < len(mesh.faces) <= MOST_FACES
-    assert np.isfinite(mesh.vertices).all()
-    assert mesh.extents[:2] == pytest.approx([0.29, 0.29], abs=0.005)
-
-
 def test_regions_without_a_triangle_give_an_empty_mesh():
     line = torch.zeros(SHAPE, dtype=torch.bool)
     line[10, 10:60] = True
@@ -143,26 +122,3 @@ def test_a_thin_region_keeps_its_pixels():
     inside = np.zeros((40, 60), bool)
     inside[10:13, 5:50] = True
     np.testing.assert_array_equal(unmixed(inside, beam=NOISY.beam), inside)
-
-
-def test_patches_of_two_frames_that_touch_are_one_object():
-    near = Patch(frame="a", mesh=sheet(0.3, [0.0, 0.0, 1.0]), tolerance=0.01)
-    same = Patch(frame="b", mesh=sheet(0.3, [0.1, 0.0, 1.005]), tolerance=0.01)
-    far = Patch(frame="b", mesh=sheet(0.2, [1.0, 0.0, 1.0]), tolerance=0.01)
-    one, other = merged_objects([far, near, same])
-    assert (one.name, one.frames) == ("added_1", ("a", "b"))
-    assert (other.name, other.frames) == ("added_2", ("b",))
-    assert one.mesh.metadata == {"source": "range image", "frames": ["a", "b"], "pixels": 200}
-    assert one.mesh.extents == pytest.approx([0.4, 0.3, 0.0051])
-
-
-def test_things_farther_apart_than_the_tolerances_stay_apart():
-    patches = [
-        Patch(frame="a", mesh=sheet(0.3, [0.0, 0.0, z]), tolerance=0.01) for z in (1.0, 1.02)
-    ]
-    assert len(merged_objects(patches)) == 2
-    assert math.hypot(0.01, 0.01) < 0.02
-
-
-def test_no_patches_are_no_objects():
-    assert merged_objects([]) == ()

@@ -18,6 +18,7 @@ from torchcal.calibrate import calibrate as calibrate
 from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
 from torchcal.calibrate.check import foresee as foresee
+from torchcal.calibrate.compare import reclassified as reclassified
 from torchcal.calibrate.element_pose import find_element_poses as find_element_poses
 from torchcal.calibrate.element_result import ElementPoses as ElementPoses
 from torchcal.calibrate.element_result import ElementStatus as ElementStatus

@@ -10,6 +10,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.range_fit import FILLED
 from torchcal.calibrate.result import FrameComparison, PixelClass
+from torchcal.calibrate.spread import Drawn, drawn_steps, moves_far
 from torchcal.geometry import gaussian, robust
 from torchcal.model.job import Frame, Job
 from torchcal.model.scene import Scene
@@ -59,15 +60,32 @@ def compare(
         The belief with the noise's sigma enlarged where the residuals are larger than it says, and
         the comparisons made with it.
     """
-    poses = parameters.bodies_in_sensor(belief.state).float()
-    frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
-    shown = [_shown(scene, poses[k], frame, job.sensor, belief) for k, frame in enumerate(frames)]
+    shown = _shown_frames(job, scene, parameters, belief)
     scale = belief.sigma_scale * _residual_scale(job, shown, belief)
     belief = replace(belief, sigma_scale=scale)
-    return belief, tuple(
-        _compare_frame(job, frame, prediction, belief)
-        for frame, prediction in zip(job.frames, shown, strict=True)
-    )
+    return belief, _compare_frames(job, shown, belief)
+
+
+def compare_as_believed(
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+) -> tuple[FrameComparison, ...]:
+    """The same with the noise as it is believed to be."""
+    return _compare_frames(job, _shown_frames(job, scene, parameters, belief), belief)
+
+
+def reclassified(comparison: FrameComparison, alpha: float) -> FrameComparison:
+    """The same comparison judged with another alpha of eq. 5.
+
+    What was not compared, such as a beam that is half beside the model, depends on no alpha.
+
+    Raises:
+        ValueError: If ``alpha`` is not positive.
+    """
+    if not alpha > 0.0:
+        raise ValueError(f"found alpha {alpha}; expected more than 0")
+    compared = comparison.label != PixelClass.NOT_COMPARED
+    label = classify(comparison.measured, comparison.predicted, comparison.sigma, compared, alpha)
+    return replace(comparison, label=label)
 
 
 def without_range_error(
@@ -82,22 +100,67 @@ def without_range_error(
     )
 
 
+def _shown_frames(job: Job, scene: Scene, parameters: Parameters, belief: Belief) -> list[_Shown]:
+    frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
+    return [
+        _shown(scene, parameters, belief, job.sensor, k, frame) for k, frame in enumerate(frames)
+    ]
+
+
+def _compare_frames(job: Job, shown: list[_Shown], belief: Belief) -> tuple[FrameComparison, ...]:
+    return tuple(
+        _compare_frame(job, frame, prediction, belief)
+        for frame, prediction in zip(job.frames, shown, strict=True)
+    )
+
+
 def _shown(
-    scene: Scene, poses: Tensor, prediction: Prediction, sensor: Sensor, belief: Belief
+    scene: Scene,
+    parameters: Parameters,
+    belief: Belief,
+    sensor: Sensor,
+    k: int,
+    prediction: Prediction,
 ) -> _Shown:
-    synthesis, active = prediction.synthesis, prediction.active
+    synthesis = prediction.synthesis
     modelled = (synthesis.coverage > FILLED) & prediction.range.isfinite()
-    P = belief.covariance[active[:, None], active].to(prediction.jacobian)
-    none = torch.zeros_like(prediction.range)
+    poses = parameters.bodies_in_sensor(belief.state)[k].float()
     shown = appearance(scene, poses, sensor, synthesis.face)
     return _Shown(
         range=torch.where(modelled, prediction.range, torch.nan),
         mixed=~modelled & (synthesis.coverage > EMPTY),
-        spread=gaussian.predicted_sigma(prediction.jacobian, P, none),
+        spread=_spread(scene, parameters, belief, sensor, k, prediction, shown.body),
         colour=shown.colour,
         normal=shown.normal,
         body=shown.body,
     )
+
+
+def _spread(
+    scene: Scene,
+    parameters: Parameters,
+    belief: Belief,
+    sensor: Sensor,
+    k: int,
+    prediction: Prediction,
+    body: Tensor,
+) -> Float[Tensor, "h w"]:
+    """What the uncertain parameters add to sigma' of eq. 4 (m)."""
+    active, ranges = prediction.active, prediction.synthesis.range
+    P = belief.covariance[active[:, None], active].to(prediction.jacobian)
+    tangent = gaussian.predicted_sigma(prediction.jacobian, P, torch.zeros_like(ranges))
+    motion = parameters.motion(belief.state, k).to(ranges)
+    if not moves_far(ranges, body, motion, P, sensor):
+        return tangent
+    steps = drawn_steps(belief.covariance)
+    states = belief.state.expand(len(steps), *belief.state.shape)
+    poses = parameters.bodies_in_sensor(parameters.retract(states, steps))[:, k]
+    drawn = Drawn.of(scene.surface, poses, sensor)
+    slopes = prediction.synthesis.jacobian
+    assert slopes is not None, "predictions come with their derivative"
+    sigma = torch.hypot(tangent, sensor.noise.sigma(ranges))
+    beyond = drawn.beyond_tangent(ranges, slopes, steps[:, active], sigma)
+    return torch.hypot(tangent, beyond)
 
 
 def _sigma(prediction: _Shown, sensor: Sensor, belief: Belief) -> Tensor:

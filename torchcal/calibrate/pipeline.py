@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import locate
-from torchcal.calibrate.compare import Belief, compare, without_range_error
+from torchcal.calibrate.compare import Belief, compare
 from torchcal.calibrate.estimate import (
     Choice,
     belief_after,
@@ -28,8 +28,8 @@ from torchcal.calibrate.readings import misreadings
 from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
 from torchcal.calibrate.result import Calibration, FrameComparison, Status
+from torchcal.calibrate.revise import revise
 from torchcal.calibrate.suspicion import suspicions
-from torchcal.calibrate.update import propose_update
 from torchcal.model.job import Job
 from torchcal.model.precision import job_in_double
 from torchcal.model.scene import Scene, build_scene
@@ -70,15 +70,7 @@ def calibrate(
         belief, comparisons = compare(job, scene, parameters, belief)
     result = estimate_of(parameters, belief, choice, comparisons)
     with stages.stage("update"):
-        offset, scale = result.range_offset, result.range_scale
-        update = propose_update(
-            job,
-            [without_range_error(each, offset, scale) for each in comparisons],
-            scene.bodies,
-            result.Ts_world_sensor,
-            correlation_pixels=belief.drift_pixels,
-            moved={name: result.Ts_world_object[name] for name in result.moved},
-        )
+        update = revise(job, scene, parameters, belief, comparisons, result, generator)
     warnings = suspicions(job)
     if choice is not None and result.status != Status.CONVERGED:
         with stages.stage("look for a mistake"):

@@ -1,8 +1,6 @@
 """Meshes of what was measured and is not in the model (section 2.5)."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -11,36 +9,23 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 from torch import Tensor
 
+from torchcal.calibrate.flatten import flattened
 from torchcal.calibrate.regions import box_mean
-from torchcal.calibrate.result import AddedObject, Evidence
 from torchcal.geometry.projection import Projection, pixel_grid
-
-MOST_FACES = 2000
-"""Of one patch: enough for its shape in a browser, and a scene of dozens of patches stays light."""
 
 STEEPEST = 6.0
 """Range step between pixels, in their widths, of a surface seen at 80 degrees; more is a jump."""
+
+FINEST = 0.01
+"""Of a pixel's width: ranges are not known better than that, whatever the noise is."""
 
 WIDEST_SMOOTHING = 21
 """Pixels; wider averages would round the object away before they calm the noise."""
 
 LEAST_SHARE = 0.05
-"""Pieces of a patch with less of its faces are wild pixels at an edge, and patches that have less
-of the smaller one's points near the other do not touch."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Patch:
-    """One connected piece of a new surface, as one frame saw it."""
-
-    frame: str
-    mesh: trimesh.Trimesh
-    """World frame, metres."""
-    tolerance: float
-    """How far (m) the same surface may lie from here in another frame."""
+"""Pieces of a patch with less of its faces are wild pixels at an edge."""
 
 
 def mesh_of_region(
@@ -77,15 +62,17 @@ def mesh_of_region(
     width = pixel_width(projection) * float(np.median(measured[inside]))
     side = smoothing_side(sigma, width)
     pure = unmixed(inside, beam)
-    smooth = extended(smoothed(measured, pure, side, sigma), pure, beam | 1)
+    u, v = (c.cpu()[crop] for c in pixel_grid(projection, dtype=torch.float64, device=mask.device))
+    rays = projection.rays(u, v).numpy()
+    calm = extended(smoothed(measured, pure, side, sigma), pure, beam | 1)
+    smooth = flattened(calm, inside, rays, max(sigma / side, FINEST * width))
     faces = largest_pieces(
         grid_faces(smooth, inside, STEEPEST * width + 3.0 * math.sqrt(2.0) * sigma / side)
     )
     used, numbers = np.unique(faces, return_inverse=True)
-    u, v = (c.cpu()[crop] for c in pixel_grid(projection, dtype=torch.float64, device=mask.device))
-    p_sensor = (projection.rays(u, v) * torch.from_numpy(smooth)[..., None]).reshape(-1, 3)
-    mesh = trimesh.Trimesh(p_sensor[used].numpy(), numbers.reshape(-1, 3), process=False)
-    mesh = simplified(turned_to_sensor(mesh))
+    p_sensor = (rays * smooth[..., None]).reshape(-1, 3)
+    mesh = trimesh.Trimesh(p_sensor[used], numbers.reshape(-1, 3), process=False)
+    mesh = turned_to_sensor(mesh)
     mesh.apply_transform(T_world_sensor.double().cpu().numpy())
     mesh.metadata.update(source="range image", pixels=int(inside.sum()), sigma_m=sigma)
     return mesh
@@ -203,24 +190,6 @@ def turned_to_sensor(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
 
 
-def simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with a modest number of faces."""
-    if len(mesh.faces) <= MOST_FACES:
-        return mesh
-    return mesh.simplify_quadric_decimation(face_count=MOST_FACES)
-
-
-def merged_objects(patches: Sequence[Patch]) -> tuple[AddedObject, ...]:
-    """One object for each group of patches that touch, named by size from ``added_1`` on.
-
-    Patches touch when points of one lie within both tolerances of the other. Each stays a
-    connected piece of the object's mesh.
-    """
-    groups = _touching(patches)
-    groups.sort(key=lambda group: -sum(patch.mesh.area for patch in group))
-    return tuple(_object(f"added_{i}", group) for i, group in enumerate(groups, start=1))
-
-
 def _around(mask: Bool[Tensor, "h w"], margin: int) -> tuple[slice, slice]:
     """The rows and columns around a mask; none of an empty one."""
     crop = []
@@ -251,48 +220,3 @@ def _average_near(
 def _sides(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
     corner = mesh.triangles
     return corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-
-
-def _touching(patches: Sequence[Patch]) -> list[list[Patch]]:
-    """Groups of patches that are linked by touching, each in the given order."""
-    count = len(patches)
-    if count == 0:
-        return []
-    links = [(i, j) for i in range(count) for j in range(i) if _touch(patches[i], patches[j])]
-    rows, columns = np.array(links, int).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(links)), (rows, columns)), shape=(count, count))
-    _, group = connected_components(graph, directed=False)
-    members = [np.flatnonzero(group == g).tolist() for g in range(int(group.max()) + 1)]
-    return [[patches[i] for i in each] for each in members]
-
-
-def _touch(one: Patch, other: Patch) -> bool:
-    reach = math.hypot(one.tolerance, other.tolerance)
-    low = np.maximum(one.mesh.bounds[0], other.mesh.bounds[0])
-    high = np.minimum(one.mesh.bounds[1], other.mesh.bounds[1])
-    if np.any(low > high + reach):
-        return False
-    points = sorted((_thinned(p.mesh, 0.5 * reach) for p in (one, other)), key=len)
-    distance, _ = KDTree(points[1]).query(points[0], distance_upper_bound=reach)
-    return bool(np.isfinite(distance).mean() >= LEAST_SHARE)
-
-
-def _thinned(mesh: trimesh.Trimesh, cell: float) -> np.ndarray:
-    """Evenly spread points of the surface, one for each cube of side ``cell`` (m)."""
-    points = np.concatenate([mesh.vertices, mesh.triangles_center])
-    _, first = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_index=True)
-    return points[np.sort(first)]
-
-
-def _object(name: str, group: Sequence[Patch]) -> AddedObject:
-    frames = tuple(dict.fromkeys(patch.frame for patch in group))
-    starts = np.cumsum([0] + [len(patch.mesh.vertices) for patch in group])
-    mesh = trimesh.Trimesh(
-        np.concatenate([patch.mesh.vertices for patch in group]),
-        np.concatenate([p.mesh.faces + start for p, start in zip(group, starts, strict=False)]),
-        process=False,
-    )
-    pixels = sum(patch.mesh.metadata["pixels"] for patch in group)
-    mesh.metadata.update(source="range image", frames=list(frames), pixels=pixels)
-    evidence = Evidence(supporting=pixels, contradicting=0, hidden=0)
-    return AddedObject(name=name, frames=frames, mesh=mesh, evidence=evidence)

@@ -230,6 +230,14 @@ def opened(mask: Bool[np.ndarray, "h w"], side: int) -> Bool[np.ndarray, "h w"]:
     return ndimage.binary_opening(padded, np.ones((side, side), bool))[side:-side, side:-side]
 
 
+def interior(mask: Bool[Tensor, "h w"], beam: int) -> Bool[Tensor, "h w"]:
+    """The pixels farther than half a beam, and one for the edge, from the mask's silhouette."""
+    square = np.ones((2 * (beam // 2) + 3,) * 2, bool)
+    # What the image cuts off is no silhouette, hence the border counts as the mask's.
+    pure = ndimage.binary_erosion(mask.cpu().numpy(), square, border_value=1)
+    return torch.from_numpy(pure).to(mask.device)
+
+
 def _step(
     signed: np.ndarray, local: LocalDifference, beam: int, alpha: float
 ) -> Bool[np.ndarray, "h w"]:

@@ -10,15 +10,24 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 from torch import Tensor
 
-from torchcal.calibrate.reconstruct import Patch, merged_objects, mesh_of_region, pixel_width
+from torchcal.calibrate.evidence import borne_out
+from torchcal.calibrate.patches import Patch, merged_objects
+from torchcal.calibrate.reconstruct import mesh_of_region, pixel_width
 from torchcal.calibrate.regions import (
     Region,
     RegionKind,
     connected_regions,
+    interior,
     numbered,
     significant_regions,
 )
-from torchcal.calibrate.result import FrameComparison, ObjectVerdict, PixelClass, Update
+from torchcal.calibrate.result import (
+    AddedObject,
+    FrameComparison,
+    ObjectVerdict,
+    PixelClass,
+    Update,
+)
 from torchcal.model.job import Job
 from torchcal.model.scene import Body
 from torchcal.model.sensor import Sensor
@@ -61,25 +70,55 @@ def propose_update(
     Returns:
         Verdicts for every object of the world, none for links of the robot; added objects.
     """
-    regions = [
+    regions = frame_regions(job, comparisons, correlation_pixels=correlation_pixels)
+    return Update(
+        verdicts=object_verdicts(job, comparisons, regions, scene_bodies, moved),
+        added=added_objects(job, comparisons, regions, Ts_world_sensor),
+    )
+
+
+def frame_regions(
+    job: Job, comparisons: Sequence[FrameComparison], *, correlation_pixels: float
+) -> tuple[tuple[Region, ...], ...]:
+    """The regions of every frame that differ from the model beyond chance."""
+    return tuple(
         significant_regions(
             frame, job.sensor, correlation_pixels=correlation_pixels, alpha=job.alpha
         )
         for frame in comparisons
-    ]
+    )
+
+
+def object_verdicts(
+    job: Job,
+    comparisons: Sequence[FrameComparison],
+    regions: Sequence[Sequence[Region]],
+    scene_bodies: tuple[Body, ...],
+    moved: Mapping[str, Float[Tensor, "4 4"]],
+) -> dict[str, ObjectVerdict]:
+    """What the images say of every object of the world; ``moved`` as for ``propose_update``."""
     verdicts = {
         body.name: object_verdict(index, comparisons, regions, job.sensor.beam)
         for index, body in enumerate(scene_bodies)
         if body.link is None
     }
+    return {name: _moved(verdict, moved.get(name)) for name, verdict in verdicts.items()}
+
+
+def added_objects(
+    job: Job,
+    comparisons: Sequence[FrameComparison],
+    regions: Sequence[Sequence[Region]],
+    Ts_world_sensor: Float[Tensor, "frame 4 4"],
+) -> tuple[AddedObject, ...]:
+    """New objects with meshes made from the range data."""
     patches = [
         patch
         for frame, found, T in zip(comparisons, regions, Ts_world_sensor, strict=True)
         for mask in new_surfaces(frame, found, job.world)
         if (patch := _patch(frame, mask, job.sensor, T)) is not None
     ]
-    verdicts = {name: _moved(verdict, moved.get(name)) for name, verdict in verdicts.items()}
-    return Update(verdicts=verdicts, added=merged_objects(patches))
+    return borne_out(merged_objects(patches), job, comparisons, Ts_world_sensor)
 
 
 def object_verdict(
@@ -95,7 +134,7 @@ def object_verdict(
     """
     agree = seen_through = hidden = 0
     for frame, found in zip(comparisons, regions, strict=True):
-        shown = _unmixed(frame.body == body, beam) & frame.usable
+        shown = interior(frame.body == body, beam) & frame.usable
         farther, nearer = (
             _union(found, kind, shown) for kind in (RegionKind.FARTHER, RegionKind.NEARER)
         )
@@ -150,14 +189,6 @@ def _union(regions: Sequence[Region], kind: RegionKind, like: Tensor) -> Bool[Te
         if region.kind == kind:
             union |= region.mask.to(like.device)
     return union
-
-
-def _unmixed(shown: Bool[Tensor, "h w"], beam: int) -> Bool[Tensor, "h w"]:
-    """The pixels of a body farther than half a beam, and one for the edge, from its silhouette."""
-    square = np.ones((2 * (beam // 2) + 3,) * 2, bool)
-    # What the image cuts off is no silhouette, hence the border counts as the body's.
-    pure = ndimage.binary_erosion(shown.cpu().numpy(), square, border_value=1)
-    return torch.from_numpy(pure).to(shown.device)
 
 
 def _covered_gaps(frame: FrameComparison, nearer: Bool[Tensor, "h w"]) -> Bool[Tensor, "h w"]:

@@ -113,7 +113,7 @@ def corrected_world(calibration: Calibration) -> World | None:
     kept = [item for item in (old.objects if old else ()) if item.name not in gone]
     names = unique_names([*(item.name for item in kept), *(item.name for item in update.added)])
     eye = torch.eye(4, dtype=torch.float64)
-    known = calibration.estimate.Ts_world_object
+    known = calibration.Ts_world_object
     kept = [
         replace(item, T_world_object=known.get(item.name, item.T_world_object)) for item in kept
     ]

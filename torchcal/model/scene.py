@@ -1,6 +1,7 @@
 """Everything the sensor may see, as one set of triangles on rigid bodies."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -109,6 +110,21 @@ def build_scene(
     )
     paint = joined([part.paint for part in welded]).to(device)
     return Scene(bodies=bodies, surface=surface, paint=paint)
+
+
+def without_bodies(surface: Surface, bodies: Sequence[int]) -> Surface:
+    """The surface without the faces of some bodies; all bodies keep their numbers."""
+    owner = surface.vertex_body[surface.faces[:, 0]]
+    kept = ~torch.isin(owner, torch.as_tensor(bodies, dtype=owner.dtype, device=owner.device))
+    faces = surface.faces[kept]
+    edges, edge_faces = edge_tables(faces.cpu().numpy())
+    return replace(
+        surface,
+        faces=faces,
+        face_colour=surface.face_colour[kept],
+        edges=torch.as_tensor(edges, device=faces.device),
+        edge_faces=torch.as_tensor(edge_faces, device=faces.device),
+    )
 
 
 def body_poses(
