@@ -8,7 +8,12 @@ LONGEST = 4.0
 
 
 def range_image(
-    points: np.ndarray, side: np.ndarray, *, focal: float, centre: np.ndarray, shape: tuple[int, int]
+    points: np.ndarray,
+    side: np.ndarray,
+    *,
+    focal: float,
+    centre: np.ndarray,
+    shape: tuple[int, int],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth and mask, linear in inverse depth between neighbouring points, as planes are.
 

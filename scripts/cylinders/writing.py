@@ -67,7 +67,7 @@ def write_tube(file: Path, *, radius: float, length: float, sections: int) -> No
 def urdf_text(views: Sequence[View]) -> str:
     """Three slides and three turns that carry the flange, each alone on its joint."""
     values = np.stack([view.flange for view in views])
-    links = ["base", *(f"after_{name}" for name in AXES)][:-1] + ["flange"]
+    links = ["base", *(f"after_{name}" for name in list(AXES)[:-1]), "flange"]
     lines = ["<robot name='flange_poses'>", *(f"  <link name='{name}'/>" for name in links)]
     for place, (name, axis) in enumerate(AXES.items()):
         kind, beyond = ("prismatic", BEYOND[0]) if place < SLIDES else ("revolute", BEYOND[1])
@@ -114,8 +114,8 @@ joints = {{ {", ".join(f"{n} = {v:.9g}" for n, v in zip(AXES, view.flange, stric
 """
         for number, view in enumerate(views, start=1)
     )
-    return f"""# A camera on a robot's flange saw a cylinder; the masks mark the pixels that show its side.
-# The model is a longer tube without ends. The robot is known by its flange's poses alone.
+    return f"""# A camera on a robot's flange saw a cylinder. The masks mark the pixels that show its side; the
+# model is a longer tube without ends. The robot is known by its flange's poses alone.
 [world]
 model = "cylinder.glb"
 pose = {_pose_text(cylinder)}
