@@ -55,7 +55,7 @@ def _turned(
 
 
 def rounded(T: np.ndarray, *, metres: float, degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """xyz (m) and roll, pitch, yaw (degrees) as a person would measure them."""
+    """Xyz (m) and roll, pitch, yaw (degrees) as a person would measure them."""
     yaw, pitch, roll = Rotation.from_matrix(T[:3, :3]).as_euler("ZYX", degrees=True)
     turn = degrees * np.round(np.array([roll, pitch, yaw]) / degrees)
     return metres * np.round(T[:3, 3] / metres), turn

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from PIL import Image
+
 from cylinders.images import range_image
 from cylinders.recording import View
-from PIL import Image
 
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1", "yaw": "0 0 1", "pitch": "0 1 0", "roll": "1 0 0"}
 """The joints that stand for the robot: R = Rz(yaw) Ry(pitch) Rx(roll), then the flange."""
@@ -114,7 +115,7 @@ joints = {{ {", ".join(f"{n} = {v:.9g}" for n, v in zip(AXES, view.flange, stric
 """
         for number, view in enumerate(views, start=1)
     )
-    return f"""# A camera on a robot's flange saw a cylinder. The masks mark the pixels that show its side; the
+    return f"""# A camera on a flange saw a cylinder. The masks mark the pixels that show its side; the
 # model is a longer tube without ends. The robot is known by its flange's poses alone.
 [world]
 model = "cylinder.glb"

@@ -22,10 +22,10 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
     Refined,
     coarse_fit,
-    estimated_covariance,
     fine_factor,
     fine_fit,
 )
+from torchcal.calibrate.reliability import reliability
 from torchcal.calibrate.result import (
     Alternative,
     Estimate,
@@ -138,11 +138,14 @@ def nominal_belief(job: Job, parameters: Parameters) -> Belief:
 
 def belief_after(refined: Refined, slow: Drift) -> Belief:
     """What is believed after a fit, with the slowly varying error (pixels of the images)."""
+    told = reliability(refined)
     return Belief(
         state=refined.state,
-        covariance=estimated_covariance(refined),
+        covariance=told.covariance,
         drift_sigma=slow.sigma,
         drift_pixels=slow.pixels if slow.sigma > 0 else 0.0,
+        used_pixels=told.used_pixels,
+        independent_pixels=told.independent_pixels,
     )
 
 
@@ -181,6 +184,8 @@ def estimate_of(
         sigma_scale=belief.sigma_scale,
         drift_sigma=belief.drift_sigma,
         drift_pixels=belief.drift_pixels,
+        used_pixels=belief.used_pixels,
+        independent_pixels=belief.independent_pixels,
         score=choice.score if choice else 0.0,
         unobservable=unobservable_directions(belief.covariance, parameters) if choice else (),
         alternatives=tuple(
