@@ -45,7 +45,7 @@ class Options:
     """Degrees: their turns, in steps of this."""
     length: float = 0.5
     """m: of the model; longer than the cylinder, so that its ends say nothing."""
-    sections: int = 512
+    sections: int = 4096
     """Flat strips that the round side is made of."""
     seed: int = 0
     """Of the planes among which the end is found."""

@@ -28,7 +28,7 @@ class View:
 
 
 def read_views(folder: Path) -> tuple[View, ...]:
-    """``view1d.pcd`` .. beside ``RobotPoses.dat``, whose rows are rx, ry, rz (rad), x, y, z (mm)."""
+    """``view1d.pcd`` .. beside ``RobotPoses.dat``: rows of rx, ry, rz (rad), x, y, z (mm)."""
     rows = np.loadtxt(folder / "RobotPoses.dat", delimiter=",", usecols=range(6))
     return tuple(
         View(

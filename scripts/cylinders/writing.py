@@ -115,7 +115,7 @@ joints = {{ {", ".join(f"{n} = {v:.9g}" for n, v in zip(AXES, view.flange, stric
 """
         for number, view in enumerate(views, start=1)
     )
-    return f"""# A camera on a flange saw a cylinder. The masks mark the pixels that show its side; the
+    return f"""# A camera on a flange saw a cylinder. Masks mark the pixels that show its side; the
 # model is a longer tube without ends. The robot is known by its flange's poses alone.
 [world]
 model = "cylinder.glb"

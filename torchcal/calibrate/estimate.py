@@ -50,6 +50,8 @@ CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
 EXPLAINED_ANYWHERE = 0.6
 """The same for a pose that no prior vouches for."""
+OWN_ERRORS = 0.8
+"""With more independent pixels than this share of all, nobody needs to be told of them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -165,7 +167,7 @@ def estimate_of(
         status, message = _status_of_nominal(parameters, belief, comparisons)
     else:
         status = _status(parameters, belief, choice, comparisons, jacobians)
-        message = _message(status, len(rivals))
+        message = _message(status, len(rivals), belief)
     return Estimate(
         status=status,
         message=message,
@@ -252,12 +254,26 @@ def _status_of_nominal(
     return Status.CONVERGED, f"{why}: the images were compared at the nominal pose."
 
 
-def _message(status: Status, rivals: int) -> str:
+def _message(status: Status, rivals: int, belief: Belief) -> str:
     return {
-        Status.CONVERGED: "The model explains the images; the estimated pose can be used.",
+        Status.CONVERGED: "The model explains the images and the estimated pose can be used"
+        f"{worth_words(belief)}.",
         Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "
         "without knowing which is right.",
-        Status.UNOBSERVABLE: "The images leave a pose open in some direction: what is "
-        "given there comes from the prior.",
+        Status.UNOBSERVABLE: "The images leave a pose open in some direction, and what is given "
+        f"there comes from the prior{worth_words(belief)}.",
         Status.FAILED: "No pose near the nominal one explains all images.",
     }[status]
+
+
+def worth_words(belief: Belief) -> str:
+    """How many independent pixels the images were worth, as the end of a sentence."""
+    used, independent = belief.used_pixels, belief.independent_pixels
+    if independent <= 0.0:
+        return ""
+    if independent > OWN_ERRORS * used:
+        return f"; the {used:,} pixels that were used err independently of each other"
+    return (
+        f"; neighbouring pixels err alike, so that the {used:,} that were used count as about "
+        f"{float(f'{independent:.2g}'):,.0f} independent ones"
+    )

@@ -16,11 +16,12 @@ PROBE = 20.0
 """Standard deviations over which the curvature of the cost is looked at: wider than its ripples."""
 NEAR = 0.5
 """Prior sigmas beyond which the cost is not looked at."""
-WELL_TOLD = 4.0
+WELL_TOLD = 20.0
 """Of what the images tell, by their own word, so many times better than the prior, each direction
 must prove itself."""
-LEAST_CURVATURE = 0.05
-"""Less is not told from none."""
+FALSE = 1.0 / 3.0
+"""With less than this share of the usual curvature nothing is known of a direction: it was told by
+wrong slopes alone."""
 EXACT = 0.8
 """With this curvature in all directions together and in the weakest, slopes count as right."""
 ALONE = 5
@@ -114,10 +115,13 @@ def _shares(
     if not len(seen.told):
         return torch.ones_like(directions.told)
     scatter = ((seen.axes.mT @ images.scatter) * seen.axes.mT).sum(1) / seen.told
-    curvature = torch.ones_like(directions.told)
-    curvature[-len(seen.told) :] = _curvatures(refined, seen)
-    common = curvature[-len(seen.told) :].square().reciprocal().mean().rsqrt()
-    return curvature.clamp(max=common).square() / scatter.mean().clamp(min=1.0)
+    curvature = _curvatures(refined, seen)
+    real = curvature > FALSE * curvature.median()
+    # The variances of all directions, on average: single curvatures are themselves uncertain.
+    common = curvature[real].square().reciprocal().mean().rsqrt().nan_to_num(1.0)
+    relied = torch.where(real, curvature.clamp(max=common), 0.0)
+    rest = common.expand(len(directions.told) - len(relied))
+    return torch.cat([rest, relied]).square() / scatter.mean().clamp(min=1.0)
 
 
 def _curvatures(refined: Refined, seen: _Directions) -> Float[Tensor, " direction"]:
@@ -127,20 +131,16 @@ def _curvatures(refined: Refined, seen: _Directions) -> Float[Tensor, " directio
     round one, adds to the information and not to the curvature of the cost. The weakest directions
     live on it most: a cylinder's turn about its axis is told by nothing else.
     """
-    count = len(seen.told)
-    everything = torch.arange(count)
-    groups = [everything]
+    everything = torch.arange(len(seen.told))
+    together = _curvature(refined, seen, everything)
     weak = (seen.told > WELL_TOLD**2).nonzero()[:, 0][:ALONE]
-    if len(weak) and count > 1:
-        looks = (_curvature(refined, seen, everything), _curvature(refined, seen, weak[:1]))
-        if min(looks) < EXACT:
-            rest = everything[~torch.isin(everything, weak)]
-            groups = [*weak[:, None], *([rest] if len(rest) else [])]
-        else:
-            return torch.full_like(seen.told, looks[0])
-    found = torch.ones_like(seen.told)
-    for group in groups:
-        found[group] = _curvature(refined, seen, group)
+    found = torch.full_like(seen.told, together)
+    if not len(weak) or min(together, _curvature(refined, seen, weak[:1])) > EXACT:
+        return found
+    rest = everything[~torch.isin(everything, weak)]
+    for group in (*weak[:, None], rest):
+        if len(group):
+            found[group] = _curvature(refined, seen, group)
     return found
 
 
@@ -156,7 +156,7 @@ def _curvature(refined: Refined, seen: _Directions, group: Tensor) -> float:
     fell = 0.5 * (gradient[1] - gradient[0]) @ step - step @ _prior(refined) @ step
     expected = (told * lengths.square()).sum()
     expected = expected * robust.relative_curvature(expected.new_tensor(fit.cutoff))
-    return float((fell / expected).nan_to_num(1.0).clamp(LEAST_CURVATURE, 1.0))
+    return float((fell / expected).nan_to_num(1.0).clamp(0.0, 1.0))
 
 
 def _images(refined: Refined) -> _Images:

@@ -47,6 +47,7 @@ def result_dict(calibration: Calibration) -> dict[str, Any]:
         "added": [_added(item) for item in update.added],
         "timing": calibration.timing,
         "next_view": None if calibration.next_view is None else asdict(calibration.next_view),
+        "pixels": {"used": estimate.used_pixels, "independent": estimate.independent_pixels},
     }
     return without_nan(result)
 
