@@ -20,6 +20,9 @@ from cylinders.recording import read_views
 from cylinders.shape import find_cylinder
 from cylinders.writing import job_text, urdf_text, write_images, write_tube
 
+SHARED = 0.15
+"""Errors of the robot's poses are alike over such a part (rad) of an image."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
@@ -33,12 +36,14 @@ class Options:
     """The views to use, from 1; all if left out."""
     hold: bool = False
     """Take the slide along the cylinder's axis and the turn about it for known."""
-    focal: float = 400.0
+    focal: float = 300.0
     """Pixels."""
     margin: float = 0.004
     """m: what counts as the side ends so far below the plane of the end."""
-    sigma: float = 0.0003
-    """m: of the camera, with what the robot's poses are off by."""
+    sigma: float = 0.0001
+    """m: of a pixel."""
+    poses: float = 0.0005
+    """m: what the robot's poses are off by; pixels of one view share it."""
     ruler: float = 0.01
     """m: the places of mount and cylinder are written down in steps of this."""
     protractor: float = 5.0
@@ -77,7 +82,7 @@ def main() -> None:
     text = job_text(
         views,
         optics=optics,
-        sigma=options.sigma,
+        noise=(options.sigma, options.poses, SHARED * options.focal),
         mount=rounded(mount, **steps),
         cylinder=rounded(along_z(middle, axis), **steps),
         believed=(options.ruler, options.protractor),

@@ -87,7 +87,7 @@ def job_text(
     views: Sequence[View],
     *,
     optics: str,
-    sigma: float,
+    noise: tuple[float, float, float],
     mount: Pose,
     cylinder: Pose,
     believed: tuple[float, float],
@@ -98,14 +98,14 @@ def job_text(
     Args:
         views: For the joints of each frame.
         optics: Keys of the sensor.
-        sigma: Of its noise (m).
+        noise: Of a pixel (m), shared with its neighbours (m), and how far that reaches (pixels).
         mount: T_flange_camera.
         cylinder: T_base_cylinder, its axis along z.
         believed: Sigmas of both (m, degrees).
         hold: Whether the slide along the axis and the turn about it are taken for known.
     """
     position, rotation = believed
-    along = [(0.0 if hold else sigma) for sigma in believed]
+    along = [0.0 if hold else sigma for sigma in believed]
     frames = "".join(
         f"""
 [[frame]]
@@ -127,7 +127,8 @@ urdf = "flange.urdf"
 [sensor]
 link = "flange"
 mount = {_pose_text(mount)}
-{optics}sigma = {sigma:g}
+{optics}sigma = {noise[0]:g}
+drift = {{ sigma = {noise[1]:g}, pixels = {noise[2]:g} }}
 beam = 1
 {frames}
 [unknown.mount]
