@@ -135,7 +135,7 @@ def test_an_unseen_object_is_unobservable(arm_job, rng):
     calibration = calibrate(draw_trial(job, 5, 0).job, generator=rng)
     assert calibration.estimate.status == Status.UNOBSERVABLE
     words = " ".join(each.words for each in calibration.estimate.unobservable)
-    assert "a shift of hidden along x" in words
+    assert "a shift of object hidden along x" in words
     assert calibration.update.verdicts["hidden"].verdict == "unseen"
 
 

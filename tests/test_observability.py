@@ -55,7 +55,7 @@ def test_a_wall_leaves_shifts_along_it_and_the_turn_about_its_normal():
     directions = unobservable_directions(P, parameters)
     assert len(directions) == 3
     words = " ".join(direction.words for direction in directions)
-    for named in ("shift of the base along x", "shift of the base along y", "base about z"):
+    for named in ("shift of the sensor along x", "shift of the sensor along y", "sensor about z"):
         assert named in words
     for told_of in ("along z", "about x", "about y"):
         assert told_of not in words
@@ -101,7 +101,7 @@ def test_half_of_the_priors_sigma_is_the_limit(share, expected):
     assert told(P, parameters) is expected
     directions = unobservable_directions(P, parameters)
     assert [direction.words for direction in directions] == (
-        [] if expected else ["a turn of the base about x cannot be told from these images"]
+        [] if expected else ["a turn of the sensor about x cannot be told from these images"]
     )
 
 

@@ -1,6 +1,7 @@
 """The figures that the project promises on two real recordings."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ WITHIN = float(chi2.ppf(0.997, 6))
 """Square of the Mahalanobis distance that 99.7 % of honest estimates do not exceed."""
 SAMPLES = 300_000
 """On the robot's surface: one for each 2 mm square."""
+BOUND = float(chi2.ppf(0.997, 6))
+"""Of a Mahalanobis distance squared of a pose: the 99.7 % ellipsoid."""
 EVERY = 7
 """Of the measured pixels, one in so many is looked at."""
 
@@ -69,6 +72,22 @@ def test_pose_before_the_filled_bin(arc_bin):
     assert rotation < 0.003
 
 
+def test_pose_before_the_filled_bin_is_where_its_ellipsoid_says(arc_bin):
+    estimate = arc_bin.estimate
+    P = estimate.pose_covariances[0]
+    xi = se3.log(se3.inverse(estimate.Ts_world_sensor[0]) @ truth_of("arc_bin", "T_world_sensor"))
+    assert float(xi @ torch.linalg.solve(P, xi)) < BOUND
+    assert float(P.diagonal()[:3].sqrt().max()) < 0.003
+
+
+def test_a_depth_camera_has_few_independent_pixels(arc_bin):
+    estimate = arc_bin.estimate
+    assert estimate.used_pixels > 100_000
+    # One for each patch of some 10 to 30 pixels a side.
+    assert 100 < estimate.independent_pixels < 5000
+    assert "independent" in estimate.message
+
+
 def test_bin_is_still_there(arc_bin):
     verdicts = {name: each.verdict for name, each in arc_bin.update.verdicts.items()}
     assert verdicts
@@ -108,6 +127,51 @@ def test_camera_that_watches_the_arm(lbr_med7):
     assert lbr_med7.estimate.status is Status.CONVERGED
     assert position < 0.025
     assert rotation < DEGREE
+
+
+def test_camera_that_watches_the_arm_is_where_its_ellipsoid_says(lbr_med7):
+    estimate = lbr_med7.estimate
+    reference = truth_of("lbr_med7", "T_world_sensor_reference")
+    xi = se3.log(se3.inverse(estimate.Ts_world_sensor[0]) @ reference)
+    P = estimate.pose_covariances[0]
+    of_reference = torch.tensor([0.01] * 3 + [0.5 * DEGREE] * 3, dtype=torch.float64)
+    assert float(xi @ torch.linalg.solve(P + of_reference.square().diag(), xi)) < BOUND
+    assert float(P.diagonal()[:3].sqrt().max()) < 0.003
+
+
+@pytest.fixture(scope="module")
+def with_joints(tmp_path_factory) -> Calibration:
+    """The camera that watches the arm, with offsets of all its joints."""
+    if not (JOBS / "lbr_med7").is_dir():
+        pytest.skip(f"needs the real recording {JOBS / 'lbr_med7'}")
+    folder = tmp_path_factory.mktemp("lbr") / "job"
+    shutil.copytree(JOBS / "lbr_med7", folder, copy_function=shutil.copyfile)
+    file = folder / "job.toml"
+    text = file.read_text(encoding="utf-8") + "\n[unknown.joints]\nsigma_deg = 1.0\n"
+    file.write_text(text, encoding="utf-8")
+    return calibrate(read_job(file), generator=torch.Generator().manual_seed(0))
+
+
+def median_residual(calibration: Calibration) -> float:
+    """Of the measured pixels in which the model is seen (m)."""
+    residuals = [(each.measured - each.predicted)[each.usable] for each in calibration.comparisons]
+    return float(torch.cat(residuals).abs().nanmedian())
+
+
+def test_the_first_joint_and_the_camera_of_an_arm_are_named_as_what_they_are(with_joints):
+    words = [direction.words for direction in with_joints.estimate.unobservable]
+    assert any("the offset of joint A1" in each and "mount" in each for each in words), words
+
+
+def test_the_other_joints_of_the_arm_are_nearly_right(with_joints):
+    offsets = with_joints.estimate.joint_offsets
+    others = {name: abs(offset) for name, offset in offsets.items() if name != "A1"}
+    assert len(others) == 6
+    assert max(others.values()) < DEGREE, offsets
+
+
+def test_joint_offsets_do_not_make_the_arm_fit_worse(with_joints, lbr_med7):
+    assert median_residual(with_joints) <= median_residual(lbr_med7)
 
 
 def robot_surface(robot: Robot, joints: Tensor) -> trimesh.Trimesh:

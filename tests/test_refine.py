@@ -16,10 +16,10 @@ from torchcal.calibrate.refine import (
     FINE_PIXELS,
     Refined,
     coarse_fit,
-    estimated_covariance,
     fine_factor,
     fine_fit,
 )
+from torchcal.calibrate.reliability import estimated_covariance
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job

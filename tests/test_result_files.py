@@ -35,7 +35,7 @@ from torchcal.model.robot import load_robot
 
 KEYS = (
     "status message parameters names covariance unobservable alternatives frames objects added"
-    " timing next_view warnings"
+    " timing next_view warnings pixels"
 ).split()
 
 

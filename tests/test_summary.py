@@ -28,16 +28,27 @@ def test_corrections_are_in_mm_and_degrees():
 def test_settings_name_sensor_and_prior_with_units():
     words = settings(calibration().job)
     assert words["Sensor"] == "pinhole, depth along z, 64 × 48 pixels"
-    assert words["Prior of the base"] == "100, 100, 0 mm, 2.865°"
-    assert words["Prior of the mount"] == "known exactly"
+    assert words["Prior of the sensor's pose"] == "100, 100, 0 mm, 2.865°"
 
 
-def test_a_hand_held_pose_is_shown_where_only_single_frames_were_unknown():
+def test_settings_of_a_hand_held_sensor_know_no_base_and_no_mount():
+    assert not [key for key in settings(calibration().job) if "base" in key or "mount" in key]
+
+
+def test_of_a_hand_held_sensor_that_is_wrong_alike_in_all_frames_the_first_pose_is_shown():
+    (shown,) = corrections(calibration())
+    assert shown.title == "Sensor in the world (first frame; the others move with it)"
+
+
+def test_of_a_hand_held_sensor_every_pose_that_had_its_own_error_is_shown():
     found = calibration()
     prior = found.job.base
     of_frames = dataclasses.replace(found.job, base=None, frame_poses=prior)
-    (shown,) = corrections(dataclasses.replace(found, job=of_frames))
-    assert shown == corrections(found)[0]
+    first, second = corrections(dataclasses.replace(found, job=of_frames))
+    assert first.title == "Sensor in the world, frame 0001"
+    assert second.title == "Sensor in the world, frame 0002"
+    assert first.axes == corrections(found)[0].axes
+    assert second.axes == first.axes  # the scene's frames are alike
 
 
 def test_the_next_view_is_toml_whatever_its_joints_are_called():

@@ -49,7 +49,7 @@ def test_a_bump_of_a_centimetre_is_told_at_once_and_nothing_before_or_after_it()
     tracker = Tracker.of(camera_job(), generator=generator())
     _, taken = followed(tracker, [seen_from(T, seed=k) for k, T in enumerate(truths)])
     assert [k for k, each in enumerate(taken) if each.alarm] == [8]
-    assert "a shift of the base along y" in taken[8].message
+    assert "a shift of the sensor along y" in taken[8].message
     assert taken[8].p_value < 1e-6
     for each, truth in zip(taken, truths, strict=True):
         assert distance(each, truth) < NEVER

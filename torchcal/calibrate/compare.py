@@ -34,6 +34,10 @@ class Belief:
     """Its correlation length (pixels); 0 without one."""
     sigma_scale: float = 1.0
     """How much larger the residuals are than the sensor's sigma says."""
+    used_pixels: int = 0
+    """Those that the fit went by; 0 before one."""
+    independent_pixels: float = 0.0
+    """So many with errors of their own would have told as much."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

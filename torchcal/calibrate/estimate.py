@@ -22,10 +22,10 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
     Refined,
     coarse_fit,
-    estimated_covariance,
     fine_factor,
     fine_fit,
 )
+from torchcal.calibrate.reliability import reliability
 from torchcal.calibrate.result import (
     Alternative,
     Estimate,
@@ -50,6 +50,8 @@ CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
 EXPLAINED_ANYWHERE = 0.6
 """The same for a pose that no prior vouches for."""
+OWN_ERRORS = 0.8
+"""With more independent pixels than this share of all, nobody needs to be told of them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -138,11 +140,14 @@ def nominal_belief(job: Job, parameters: Parameters) -> Belief:
 
 def belief_after(refined: Refined, slow: Drift) -> Belief:
     """What is believed after a fit, with the slowly varying error (pixels of the images)."""
+    told = reliability(refined)
     return Belief(
         state=refined.state,
-        covariance=estimated_covariance(refined),
+        covariance=told.covariance,
         drift_sigma=slow.sigma,
         drift_pixels=slow.pixels if slow.sigma > 0 else 0.0,
+        used_pixels=told.used_pixels,
+        independent_pixels=told.independent_pixels,
     )
 
 
@@ -162,7 +167,7 @@ def estimate_of(
         status, message = _status_of_nominal(parameters, belief, comparisons)
     else:
         status = _status(parameters, belief, choice, comparisons, jacobians)
-        message = _message(status, len(rivals))
+        message = _message(status, len(rivals), belief)
     return Estimate(
         status=status,
         message=message,
@@ -181,6 +186,8 @@ def estimate_of(
         sigma_scale=belief.sigma_scale,
         drift_sigma=belief.drift_sigma,
         drift_pixels=belief.drift_pixels,
+        used_pixels=belief.used_pixels,
+        independent_pixels=belief.independent_pixels,
         score=choice.score if choice else 0.0,
         unobservable=unobservable_directions(belief.covariance, parameters) if choice else (),
         alternatives=tuple(
@@ -247,12 +254,26 @@ def _status_of_nominal(
     return Status.CONVERGED, f"{why}: the images were compared at the nominal pose."
 
 
-def _message(status: Status, rivals: int) -> str:
+def _message(status: Status, rivals: int, belief: Belief) -> str:
     return {
-        Status.CONVERGED: "The model explains the images; the estimated pose can be used.",
+        Status.CONVERGED: "The model explains the images and the estimated pose can be used"
+        f"{worth_words(belief)}.",
         Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "
         "without knowing which is right.",
-        Status.UNOBSERVABLE: "The images leave a pose open in some direction: what is "
-        "given there comes from the prior.",
+        Status.UNOBSERVABLE: "The images leave a pose open in some direction, and what is given "
+        f"there comes from the prior{worth_words(belief)}.",
         Status.FAILED: "No pose near the nominal one explains all images.",
     }[status]
+
+
+def worth_words(belief: Belief) -> str:
+    """How many independent pixels the images were worth, as the end of a sentence."""
+    used, independent = belief.used_pixels, belief.independent_pixels
+    if independent <= 0.0:
+        return ""
+    if independent > OWN_ERRORS * used:
+        return f"; the {used:,} pixels that were used err independently of each other"
+    return (
+        f"; neighbouring pixels err alike, so that the {used:,} that were used count as about "
+        f"{float(f'{independent:.2g}'):,.0f} independent ones"
+    )

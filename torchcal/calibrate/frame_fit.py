@@ -17,7 +17,8 @@ from torchcal.calibrate.observation import (
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pixel_stage import AGREEING, block_side, expected_sigma
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit, embedded
-from torchcal.calibrate.refine import Refined, reliable_share, with_noise
+from torchcal.calibrate.refine import Refined, with_noise
+from torchcal.calibrate.reliability import reliable_share
 from torchcal.geometry import robust
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene

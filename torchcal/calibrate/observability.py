@@ -22,7 +22,6 @@ AXIS_WORDS = {
     "ry": "a turn of {} about y",
     "rz": "a turn of {} about z",
 }
-BLOCKS = {"base": "the base", "mount": "the sensor's mount", "sensor": "the sensor"}
 
 
 def unobservable_directions(
@@ -62,24 +61,42 @@ def sparse_basis(vectors: Float[Tensor, "vector n"]) -> Float[Tensor, "vector n"
 def _words(direction: Tensor, parameters: Parameters) -> str:
     effect = direction * parameters.prior_sigma * LEVER
     named = (direction.abs() > NAMED) | (effect.abs() > NAMED * effect.abs().max())
-    words = [parameter_words(parameters.names[i]) for i in named.nonzero()[:, 0].tolist()]
+    places = named.nonzero()[:, 0].tolist()
+    words = [parameter_words(parameters.names[i], parameters) for i in places]
     if len(words) == 1:
         return f"{words[0]} cannot be told from these images"
     return f"{', '.join(words[:-1])} and {words[-1]} cannot be told apart in these images"
 
 
-def parameter_words(name: str) -> str:
-    """A parameter's name as a person says it."""
+def parameter_words(name: str, parameters: Parameters) -> str:
+    """A parameter's name as a person says it.
+
+    Args:
+        name: One of ``parameters.names``.
+        parameters: They know whether there is a robot: without one it is the sensor that moves.
+    """
     block, _, rest = name.partition(".")
     if block == "joints":
         return f"the offset of joint {rest}"
     if block == "range":
         return f"the {rest} of the sensor's range"
     owner, _, axis = name.rpartition(".")
+    return AXIS_WORDS[axis].format(_owner_words(owner, parameters))
+
+
+def _owner_words(owner: str, parameters: Parameters) -> str:
+    """What has a pose."""
+    block, _, rest = owner.partition(".")
     if block == "frames":
-        return AXIS_WORDS[axis].format(f"the sensor in frame {rest.removesuffix(f'.{axis}')}")
-    thing = BLOCKS.get(owner) or owner.removeprefix("objects.")
-    return AXIS_WORDS[axis].format(thing)
+        return f"the sensor in frame {rest}"
+    if block == "objects":
+        return f"object {rest}"
+    if block == "mount":
+        return "the sensor's mount"
+    if parameters.mechanism.robot is not None:
+        return "the base"
+    frames = len(parameters.mechanism.Ts_first_frame)
+    return "the sensor" if frames == 1 else "the sensor in all frames"
 
 
 def poses_are_told(

@@ -10,7 +10,8 @@ from torchcal.calibrate.observation import Observation, coarser
 from torchcal.calibrate.one_view import OneView, as_states
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit
-from torchcal.calibrate.refine import Refined, estimated_covariance, with_noise
+from torchcal.calibrate.refine import Refined, with_noise
+from torchcal.calibrate.reliability import estimated_covariance
 from torchcal.calibrate.site import Site
 from torchcal.geometry import robust
 from torchcal.solve.gauss_newton import (

@@ -1,4 +1,4 @@
-"""From a start to the estimate on every pixel: coarse to fine, noise model, covariance."""
+"""From a start to the estimate on every pixel: coarse to fine, noise model."""
 
 import itertools
 import math
@@ -12,13 +12,12 @@ from torch import Tensor
 from torchcal.calibrate.noise import COEFFICIENTS, NoiseModel, correlation, noise_model
 from torchcal.calibrate.observation import Observation, coarser
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.range_fit import RangeFit, embedded
+from torchcal.calibrate.range_fit import RangeFit
 from torchcal.geometry import robust
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift
 from torchcal.solve.field import SPACING
-from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, covariance, minimise, shared
-from torchcal.solve.image_equations import blockwise_scatter
+from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, shared
 
 FINE_PIXELS = 800_000
 """Pixels of all frames that measured something, together, in the final fit of a sharp sensor; more
@@ -31,17 +30,11 @@ TOLERANCE = 0.1
 """Shortest step of the final fits, in standard deviations: less cannot be seen in the result."""
 LONGEST = 10.0
 """Most that a step is lengthened: real models are themselves noisy, and so are their slopes."""
-PROBE = 20.0
-"""Standard deviations over which the curvature of the cost is looked at: wider than its ripples."""
-LEAST_CURVATURE = 0.05
-"""Less is not told from none."""
 LARGEST_DRIFT = 0.5
 """Most of the slowly varying error, in the declared sigma of a pixel. What is alike over some
 distance beyond that is a wrong model, which a field must not explain away."""
 INLIER = 3.0
 """Robust standard deviations within which residuals tell about the noise."""
-BLOCK = 24
-"""Side (pixels) of the blocks whose gradients are taken as independent; longer with drift."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -208,68 +201,3 @@ def _inliers(fit: RangeFit, state: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     limit = INLIER * robust.robust_scale(v)
     for residual, sigma, compared in frames:
         yield residual, compared & (residual.abs() < limit * sigma)
-
-
-def _curvature(refined: Refined) -> float:
-    """Change of the gradient over what it is for Gaussian noise and right slopes, at most 1.
-
-    Noise in the derivatives, from a model that was itself measured or from fine texture, adds to
-    the information and not to the curvature of the cost. Steps of ``PROBE`` standard deviations to
-    both sides, each across all that the images tell at once, show it.
-    """
-    parameters = refined.fit.parameters
-    information = refined.solution.equations.information[0]
-    value, vector = torch.linalg.eigh(information)
-    root = vector * value.clamp(min=1e-12).rsqrt()
-    # Where the prior tells more than the images, its own curvature would hide theirs.
-    prior = parameters.prior_sigma.double().square().reciprocal()
-    root = root[:, (root.square() * prior[:, None]).sum(0) < 0.5]
-    signs = torch.ones(2, root.shape[1], dtype=value.dtype, device=value.device)
-    signs[1, ::2] = -1.0
-    steps = PROBE / max(root.shape[1], 1) ** 0.5 * signs @ root.mT
-    states = refined.state.expand(4, *refined.state.shape)
-    states = parameters.retract(states, torch.cat([steps, -steps]))
-    gradient = refined.fit.evaluate(states).gradient
-    fell = 0.5 * ((gradient[2:] - gradient[:2]) * steps).sum()
-    expected = ((steps @ information) * steps).sum()
-    expected = expected * robust.relative_curvature(information.new_tensor(refined.fit.cutoff))
-    return float((fell / expected).nan_to_num(1.0).clamp(LEAST_CURVATURE, 1.0))
-
-
-def estimated_covariance(refined: Refined) -> Float[Tensor, "parameter parameter"]:
-    """P of eq. 3 after the fit: the prior and as much of the information as can be relied on."""
-    fit = refined.fit
-    prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
-    information = refined.solution.equations.information[0] - prior
-    return covariance(prior + reliable_share(refined) * information)
-
-
-def reliable_share(refined: Refined) -> float:
-    """The share of the images' information that is left when neighbouring errors are alike.
-
-    The gradients of blocks of pixels scatter as the information says if the noise model is right.
-    Their excess is what neighbouring errors share beyond it: the information is divided by it.
-    What the images say nothing about, such as an object out of view, has no part in it.
-    """
-    fit = refined.fit
-    scatter = torch.zeros_like(refined.solution.equations.information[0])
-    for frame in fit.residuals(refined.state):
-        image = fit.separate(frame)
-        length = fit.drift.pixels if fit.drift is not None else 0.0
-        own = blockwise_scatter(image, frame.jacobian, max(BLOCK, int(3 * length)))
-        scatter = scatter + embedded(own, frame.active, len(scatter))
-    prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
-    information = refined.solution.equations.information[0] - prior
-    told = _told_directions(information, fit.parameters.prior_sigma)
-    excess = (told.mT @ scatter @ told).diagonal().mean().nan_to_num(1.0)
-    return float(_curvature(refined) ** 2 / excess.clamp(min=1.0))
-
-
-def _told_directions(
-    information: Float[Tensor, "parameter parameter"], prior_sigma: Float[Tensor, " parameter"]
-) -> Float[Tensor, "parameter direction"]:
-    """Directions of which the images say more than the prior: by the images, 1 sigma long each."""
-    scale = prior_sigma.to(information)[:, None]
-    value, vector = torch.linalg.eigh(scale * information * scale.mT)
-    told = value > 1.0
-    return scale * vector[:, told] * value[told].rsqrt()

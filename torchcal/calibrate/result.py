@@ -88,6 +88,11 @@ class Estimate:
     """The slowly varying range error (m) that was used or estimated."""
     drift_pixels: float
     """Its correlation length (pixels)."""
+    used_pixels: int = 0
+    """Measured pixels of all frames that the fit went by; 0 where nothing was estimated."""
+    independent_pixels: float = 0.0
+    """So many pixels, with errors as large but each its own, would have told as much (the ellipsoid
+    of what the images tell would have the same volume): neighbouring pixels err alike."""
     score: float
     unobservable: tuple[UnobservableDirection, ...]
     alternatives: tuple[Alternative, ...]

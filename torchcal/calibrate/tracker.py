@@ -266,7 +266,7 @@ class Tracker:
         name, unit = self.parameters.names[place], self.parameters.units[place]
         return (
             "The image contradicts what was believed, most of all about "
-            f"{parameter_words(name)}: {float(step[place]):+.3g} {unit}."
+            f"{parameter_words(name, self.parameters)}: {float(step[place]):+.3g} {unit}."
         )
 
     def _belief(self) -> dict[str, Any]:

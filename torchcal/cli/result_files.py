@@ -48,6 +48,7 @@ def result_dict(calibration: Calibration) -> dict[str, Any]:
         "timing": calibration.timing,
         "next_view": None if calibration.next_view is None else asdict(calibration.next_view),
         "warnings": list(calibration.warnings),
+        "pixels": {"used": estimate.used_pixels, "independent": estimate.independent_pixels},
     }
     return without_nan(result)
 

@@ -69,11 +69,10 @@ def axis_sigmas(
 def corrections(calibration: Calibration) -> tuple[Correction, ...]:
     """What was corrected, in the order in which the job lists its unknowns."""
     job, estimate = calibration.job, calibration.estimate
-    found = []
-    if (prior := _base_prior(job)) is not None:
-        title, nominal, estimated = _base_poses(calibration)
-        sigmas = _base_sigmas(calibration)
-        found.append(_correction(title, nominal, estimated, sigmas, prior))
+    found: list[Correction] = []
+    found += (
+        _sensor_corrections(calibration) if job.robot is None else _base_corrections(calibration)
+    )
     if job.joints:
         found.append(_joint_correction(calibration))
     if job.mount is not None:
@@ -130,27 +129,42 @@ def _number(
     )
 
 
-def _base_prior(job: Job) -> PosePrior | None:
-    """Of the base; of a hand-held sensor's first pose its own error and that of all frames."""
-    priors = [each.sigma for each in (job.base, job.frame_poses) if each is not None]
-    return PosePrior(sigma=torch.stack(priors).norm(dim=0)) if priors else None
-
-
-def _base_poses(calibration: Calibration) -> tuple[str, Tensor, Tensor]:
-    """Title, nominal and estimated pose of the base, or of the first frame's hand-held sensor."""
+def _base_corrections(calibration: Calibration) -> list[Correction]:
+    """The robot's base, where it was unknown."""
     job, estimate = calibration.job, calibration.estimate
-    nominal = job.frames[0].T_world_sensor
-    if job.robot is not None or nominal is None:
-        return "Robot base in the world", job.T_world_base, estimate.T_world_base
-    return "Sensor in the world (first frame)", nominal, estimate.Ts_world_sensor[0]
+    if job.base is None:
+        return []
+    sigmas = axis_sigmas(estimate.names, estimate.covariance, "base")
+    poses = job.T_world_base, estimate.T_world_base
+    return [_correction("Robot base in the world", *poses, sigmas, job.base)]
 
 
-def _base_sigmas(calibration: Calibration) -> list[float]:
-    """One standard deviation on each axis of the pose that ``unknown.base`` stands for."""
-    estimate = calibration.estimate
-    if calibration.job.robot is not None:
-        return axis_sigmas(estimate.names, estimate.covariance, "base")
-    return estimate.pose_covariances[0].diagonal().clamp(min=0.0).sqrt().tolist()
+def _sensor_corrections(calibration: Calibration) -> list[Correction]:
+    """The poses of a hand-held sensor: all if each has its own error, else the first."""
+    job, estimate = calibration.job, calibration.estimate
+    priors = [each.sigma for each in (job.base, job.frame_poses) if each is not None]
+    if not priors:
+        return []
+    prior = PosePrior(sigma=torch.stack(priors).norm(dim=0))
+    shown = len(job.frames) if job.frame_poses is not None else 1
+    found = []
+    for frame, T, P in zip(
+        job.frames[:shown], estimate.Ts_world_sensor, estimate.pose_covariances, strict=False
+    ):
+        assert frame.T_world_sensor is not None, "without a robot every frame has a pose"
+        title = _sensor_title(job, frame.image.name)
+        sigmas = P.diagonal().clamp(min=0.0).sqrt().tolist()
+        found.append(_correction(title, frame.T_world_sensor, T, sigmas, prior))
+    return found
+
+
+def _sensor_title(job: Job, name: str) -> str:
+    """Of the pose that a hand-held sensor had in a frame."""
+    if len(job.frames) == 1:
+        return "Sensor in the world"
+    if job.frame_poses is not None:
+        return f"Sensor in the world, frame {name}"
+    return "Sensor in the world (first frame; the others move with it)"
 
 
 def _correction(
@@ -218,8 +232,11 @@ def settings(job: Job) -> dict[str, str]:
     if job.link is not None:
         rows["Sensor on"] = job.link
     rows |= _sensor_settings(job.sensor)
-    rows["Prior of the base"] = _prior_words(job.base)
-    rows["Prior of the mount"] = _prior_words(job.mount)
+    if job.robot is None:
+        rows["Prior of the sensor's pose"] = _prior_words(job.base)
+    else:
+        rows["Prior of the base"] = _prior_words(job.base)
+        rows["Prior of the mount"] = _prior_words(job.mount)
     if job.joints:
         rows["Priors of the joints"] = _joint_priors(job)
     for name, prior in job.objects.items():
@@ -229,7 +246,7 @@ def settings(job: Job) -> dict[str, str]:
             f"{MILLI * job.range.offset_sigma:g} mm, {100.0 * job.range.scale_sigma:g} %"
         )
     if job.frame_poses is not None:
-        rows["Prior of each frame's pose"] = _prior_words(job.frame_poses)
+        rows["Prior of each frame's own error"] = _prior_words(job.frame_poses)
     rows["Search starts"] = "at the nominal pose" if job.initial == "nominal" else "anywhere"
     rows["Alpha"] = f"{job.alpha:g} standard deviations (eq. 5)"
     return rows
