@@ -90,8 +90,7 @@ class Bag:
 
 def header_stamp(header: Any) -> int:
     """When a message was made (ns), by its header."""
-    nanoseconds = header.stamp.nanosec if hasattr(header.stamp, "nanosec") else header.stamp.nsec
-    return int(header.stamp.sec) * 1_000_000_000 + int(nanoseconds)
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
 def bag_files(source: Path) -> list[Path]:

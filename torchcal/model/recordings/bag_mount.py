@@ -78,7 +78,8 @@ def find_mount(bag: Bag, clock: Clock, robot: RobotSource, frame: str, link: str
 
 def transforms(bag: Bag, clock: Clock, *, static: bool) -> Transforms:
     """The frames of a bag; only those of ``tf_static``, or all."""
-    topics = [each for each in bag.of_type("TFMessage") if not static or each.endswith(_STATIC)]
+    topics = bag.of_type("TFMessage", "tfMessage")
+    topics = [topic for topic in topics if not static or topic.endswith(_STATIC)]
     messages = (each for topic in topics for each in bag.messages(topic))
     return transforms_of(
         messages, lambda received, header: clock.time(header_stamp(header), received)

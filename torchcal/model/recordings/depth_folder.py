@@ -22,9 +22,14 @@ _LIKELY_NAMES = ("trajectory", "groundtruth", "poses", "camera_poses")
 """Of files with poses, where there are several; the first one counts."""
 
 
-def is_depth_folder(source: Path) -> bool:
-    """Whether a folder holds images and a camera's intrinsics."""
-    return bool(source.is_dir() and _images(source) and _cameras(source))
+def depth_images(source: Path) -> list[Path]:
+    """The images of a folder, or of ``depth`` in it, in the order of their names."""
+    for folder in (source / "depth", source):
+        found = sorted(folder.glob("*.png"))
+        depth = [path for path in found if "depth" in path.name]
+        if found:
+            return depth or found
+    return []
 
 
 def read_depth_folder(source: Path, selection: Selection) -> Recorded:
@@ -38,7 +43,7 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
     Raises:
         JobError: If something is missing, broken, or there several times.
     """
-    images = _images(source)
+    images = depth_images(source)
     file = _one(source, "camera intrinsics", list(_cameras(source)), selection.use)
     projection = _pinhole(file, _cameras(source)[file])
     trajectory = _trajectory(source, selection.use)
@@ -57,16 +62,6 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
         images=_pixels([images[k] for k in taken], projection),
         notes=tuple(notes),
     )
-
-
-def _images(source: Path) -> list[Path]:
-    """The images of a folder, in the order of their names."""
-    for folder in (source / "depth", source):
-        found = sorted(folder.glob("*.png"))
-        depth = [path for path in found if "depth" in path.name]
-        if found:
-            return depth or found
-    return []
 
 
 def _cameras(source: Path) -> dict[Path, dict[str, Any]]:
@@ -95,6 +90,9 @@ def _pinhole(file: Path, content: dict[str, Any]) -> Pinhole:
 
 def _one(source: Path, what: str, files: list[Path], use: tuple[str, ...]) -> Path:
     """The file that was chosen, has the likeliest name, or is the only one."""
+    if not files:
+        expected = "a JSON file with width, height and intrinsic_matrix, as Open3D writes it"
+        raise JobError(source, "", f"no file with {what}", expected)
     chosen = [file for file in files if file.name in use]
     likely = [file for name in _LIKELY_NAMES for file in files if file.stem == name]
     if not chosen and not likely and len(files) > 1:

@@ -11,7 +11,7 @@ from torchcal.errors import JobError
 from torchcal.model.recordings.bag import bag_files
 from torchcal.model.recordings.bag_recording import read_bag
 from torchcal.model.recordings.cloud_files import cloud_paths, read_clouds
-from torchcal.model.recordings.depth_folder import is_depth_folder, read_depth_folder
+from torchcal.model.recordings.depth_folder import depth_images, read_depth_folder
 from torchcal.model.recordings.job_files import write_files
 from torchcal.model.recordings.job_tables import job_tables, remarks_of, with_tables_of
 from torchcal.model.recordings.recorded import Recorded, Selection
@@ -92,9 +92,10 @@ def _read(source: Path, selection: Selection) -> Recorded:
         raise JobError(source, "", "no such file or folder", _RECORDINGS)
     if bag_files(source):
         return read_bag(source, selection)
-    if is_depth_folder(source):
+    images, clouds = len(depth_images(source)), len(cloud_paths(source))
+    if images > clouds:
         return read_depth_folder(source, selection)
-    if cloud_paths(source):
+    if clouds:
         return read_clouds(source, selection)
     raise JobError(source, "", "nothing that can be imported", _RECORDINGS)
 
