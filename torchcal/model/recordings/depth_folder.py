@@ -61,6 +61,7 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
         frames=tuple(Taken(T_world_sensor=poses[k]) for k in taken),
         images=_pixels([images[k] for k in taken], projection),
         notes=tuple(notes),
+        to_fill_in={} if trajectory else {"frame.pose": "where the camera was: no trajectory"},
     )
 
 

@@ -67,7 +67,7 @@ def _header(content: bytes) -> tuple[dict[str, list[str]], bytes]:
     return words, content[start:]
 
 
-def _records(header: dict[str, list[str]], body: bytes) -> NDArray[np.void]:
+def _records(header: dict[str, list[str]], body: bytes) -> np.ndarray:
     kind, count = _record_kind(header), int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
     match header["DATA"][0]:
         case "ascii":
@@ -98,7 +98,7 @@ def _record_kind(header: dict[str, list[str]]) -> np.dtype:
 
 def _from_text(
     header: dict[str, list[str]], body: bytes, kind: np.dtype, count: int
-) -> NDArray[np.void]:
+) -> np.ndarray:
     counts = [int(word) for word in header.get("COUNT", ["1"] * len(header["FIELDS"]))]
     numbers = np.array([float(word) for word in body.split()], np.float64)
     rows = numbers.reshape(count, sum(counts))
@@ -109,7 +109,7 @@ def _from_text(
     return records
 
 
-def _from_columns(data: bytes, kind: np.dtype, count: int) -> NDArray[np.void]:
+def _from_columns(data: bytes, kind: np.dtype, count: int) -> np.ndarray:
     """Compressed files hold all values of one field before those of the next."""
     records, start = np.zeros(count, kind), 0
     for name in kind.names or ():

@@ -35,7 +35,7 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
     return xyz(bare.view(kind))
 
 
-def xyz(records: NDArray[np.void]) -> NDArray[np.float64]:
+def xyz(records: np.ndarray) -> NDArray[np.float64]:
     """The coordinates ``(*batch 3)`` of records with the fields x, y and z.
 
     Raises:
