@@ -1,4 +1,4 @@
-"""Bags of all three kinds, written and read back: images, joints, mount and what is said of them."""
+"""Bags of all three kinds, written and read back: images, joints, mounts, and what is said."""
 
 import sys
 import tomllib

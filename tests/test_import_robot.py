@@ -63,7 +63,7 @@ def test_a_broken_description_is_a_mistake(tmp_path: Path, xml: str):
     m = Messages("mcap")
     content = [*arm(m, without=("/robot_description",)), ("/robot_description", 0.0, m.text(xml))]
     bag = write_bag(tmp_path, m, content)
-    with pytest.raises(JobError, match="robot_description: .*expected a URDF: XML whose root"):
+    with pytest.raises(JobError, match=r"robot_description: .*expected a URDF: XML whose root"):
         import_recording(bag, tmp_path)
 
 
@@ -84,12 +84,12 @@ def test_a_urdf_from_a_file_takes_the_place_of_the_topic(tmp_path: Path):
 
 def test_a_urdf_that_is_not_there_is_a_mistake(tmp_path: Path):
     selection = Selection(urdf=tmp_path / "none.urdf")
-    with pytest.raises(JobError, match="none.urdf: found no such file; expected a URDF"):
+    with pytest.raises(JobError, match=r"none.urdf: found no such file; expected a URDF"):
         import_recording(recorded(tmp_path), tmp_path / "out", selection=selection)
 
 
 def test_a_link_that_is_not_there_lists_those_that_are(tmp_path: Path):
-    with pytest.raises(JobError, match="--link: found hand; expected one of .*tool, upper, world"):
+    with pytest.raises(JobError, match=r"--link: found hand; expected one of .*tool, upper, world"):
         import_recording(recorded(tmp_path), tmp_path / "out", selection=Selection(link="hand"))
 
 
@@ -104,7 +104,7 @@ def test_the_world_is_copied(tmp_path: Path):
 
 
 def test_a_world_that_is_not_there_is_a_mistake(tmp_path: Path):
-    with pytest.raises(JobError, match="none.glb: found no such file"):
+    with pytest.raises(JobError, match=r"none.glb: found no such file"):
         import_recording(recorded(tmp_path), tmp_path / "out", world=tmp_path / "none.glb")
 
 
@@ -171,5 +171,5 @@ def test_what_is_asked_for_wins_over_another_job(tmp_path: Path):
 
 def test_another_job_that_cannot_be_read_is_a_mistake(tmp_path: Path):
     (tmp_path / "like.toml").write_text("[world")
-    with pytest.raises(JobError, match="like.toml: found a job that cannot be read"):
+    with pytest.raises(JobError, match=r"like.toml: found a job that cannot be read"):
         import_recording(recorded(tmp_path), tmp_path / "out", like=tmp_path / "like.toml")
