@@ -274,3 +274,23 @@ def test_a_robot_that_never_moves_is_told(tmp_path: Path):
     made = imported(tmp_path, [*arm(m, without=(JOINTS,)), *still], m)
     assert "WARNING: the joints never moved" in made.notes
     assert made.frames == 1
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("mcap", ".mcap"), ("sqlite3", ".db3")])
+def test_a_bare_file_of_ros_2_is_a_bag(tmp_path: Path, kind: str, suffix: str):
+    m = Messages(kind)
+    folder = write_bag(tmp_path, m, arm(m))
+    (file,) = folder.glob(f"*{suffix}")
+    bare = file.rename(tmp_path / f"bare{suffix}")
+    (tmp_path / "out").mkdir()
+    assert import_recording(bare, tmp_path / "out").frames == 3
+
+
+def test_parts_of_a_bag_of_ros_1_are_one_recording(tmp_path: Path):
+    m, parts = Messages("ros1"), tmp_path / "parts"
+    parts.mkdir()
+    for k, keep in enumerate((lambda time: time < 4.0, lambda time: time >= 4.0)):
+        path = write_bag(tmp_path, m, [each for each in arm(m) if keep(each[1])])
+        path.rename(parts / f"{k}.bag")
+    (tmp_path / "out").mkdir()
+    assert import_recording(parts, tmp_path / "out").frames == 3

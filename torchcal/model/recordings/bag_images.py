@@ -20,6 +20,7 @@ from torchcal.model.recordings.kinds import (
     CAMERA_NOISE,
     LASER_NOISE,
     looks_like_millimetres,
+    unit_note,
     unit_of,
 )
 from torchcal.model.recordings.layout import Points
@@ -99,7 +100,7 @@ def _depth(bag: Bag, topics: Topics, received: tuple[int, ...], selection: Selec
         found = f"images of {pixels.shape[1]}x{pixels.shape[0]} pixels"
         expected = f"{hole.width}x{hole.height}, as {topics.camera} says, or another --use TOPIC"
         raise JobError(bag.file, topics.ranges, found, expected)
-    unit = unit_of(pixels, selection.depth_unit)
+    unit = unit_of(pixels.dtype, selection)
     image = partial(_depth_image, camera=camera, unit=unit)
     return Sight(
         optics=Optics(projection=hole, sigma=CAMERA_NOISE, beam=1, depth_unit=unit),
@@ -124,8 +125,7 @@ def _depth_notes(
             f"{topic} is not rectified: its lens ({camera.lens}) was taken out of the images, "
             f"which moved pixels by up to {shift:.1f}"
         )
-    if selection.depth_unit is None and pixels.dtype.kind == "u":
-        notes.append("integer images were taken for millimetres: --depth-unit says otherwise")
+    notes += unit_note(pixels.dtype, selection)
     if selection.depth_unit is None and looks_like_millimetres(pixels):
         median = float(np.nanmedian(np.where(pixels == 0, np.nan, pixels)))
         notes.append(

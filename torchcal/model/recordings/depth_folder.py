@@ -11,7 +11,7 @@ from PIL import Image
 
 from torchcal.errors import JobError
 from torchcal.geometry.projection import Pinhole
-from torchcal.model.recordings.kinds import CAMERA_NOISE, MILLIMETRE
+from torchcal.model.recordings.kinds import CAMERA_NOISE, unit_note, unit_of
 from torchcal.model.recordings.recorded import Optics, RangePixels, Recorded, Selection, Taken
 from torchcal.model.recordings.stillness import evenly
 from torchcal.model.recordings.trajectories import Trajectory, read_json, read_trajectory
@@ -50,14 +50,13 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
     poses = _paired(source, images, trajectory) if trajectory else dict.fromkeys(range(len(images)))
     known = list(poses)
     taken = [known[k] for k in evenly(len(known), selection.frames)]
-    unit = MILLIMETRE if selection.depth_unit is None else selection.depth_unit
+    whole = np.dtype(np.uint16)
     notes = [f"{len(taken)} of {len(images)} images were taken, at equal steps"]
-    if selection.depth_unit is None:
-        notes.append(
-            f"one unit of the images was taken for {unit:g} m: --depth-unit says otherwise"
-        )
+    notes += unit_note(whole, selection)
     return Recorded(
-        optics=Optics(projection=projection, sigma=CAMERA_NOISE, beam=1, depth_unit=unit),
+        optics=Optics(
+            projection=projection, sigma=CAMERA_NOISE, beam=1, depth_unit=unit_of(whole, selection)
+        ),
         frames=tuple(Taken(T_world_sensor=poses[k]) for k in taken),
         images=_pixels([images[k] for k in taken], projection),
         notes=tuple(notes),

@@ -62,11 +62,8 @@ def import_recording(
     source, folder, selection = Path(source), Path(folder), selection or Selection()
     other = _tables(like)
     model = world or _named_in(like, other, "world", "model")
-    spare = _named_in(like, other, "robot", "urdf")
-    recorded = _read(source, replace(selection, spare_urdf=selection.spare_urdf or spare))
+    recorded = _read(source, _with_spares(selection, like, other))
     written = write_files(recorded, folder, packages, model)
-    if selection.depth_unit is not None:
-        other.get("sensor", {}).pop("depth_unit", None)
     to_fill_in = {**recorded.to_fill_in, **({} if model else _NO_WORLD)}
     remarks = remarks_of(to_fill_in, other)
     missing = {key: words for key, words in to_fill_in.items() if key in remarks}
@@ -82,6 +79,18 @@ def import_recording(
         frames=len(recorded.frames) - blank,
         notes=notes,
         to_fill_in=missing,
+    )
+
+
+def _with_spares(selection: Selection, like: Path | None, other: Mapping[str, Any]) -> Selection:
+    """What another job says of the robot and the images, where the recording does not."""
+    urdf = _named_in(like, other, "robot", "urdf")
+    unit = other.get("sensor", {}).get("depth_unit")
+    unit = float(unit) if isinstance(unit, int | float) and unit > 0 else None
+    return replace(
+        selection,
+        spare_urdf=selection.spare_urdf or urdf,
+        spare_unit=selection.spare_unit or unit,
     )
 
 

@@ -13,7 +13,7 @@ from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole, Spherical
 from torchcal.model.recordings.recorded import Optics, Recorded, Taken
 
-_TAKEN_OVER = ("sigma", "drift", "beam", "range", "depth_unit")
+_TAKEN_OVER = ("sigma", "drift", "beam", "range")
 """Keys of the sensor that another job states, and a recording only guesses."""
 _POSE_SIGMAS = {"position_sigma": 0.05, "rotation_sigma_deg": 3.0}
 _REMARKS = {

@@ -31,6 +31,8 @@ class Selection:
     """The link that carries the sensor; None: the one that the recording says."""
     depth_unit: float | None = None
     """Metres of one unit of the images; None: 0.001 for integers, 1 for floats."""
+    spare_unit: float | None = None
+    """Of integer images, where ``depth_unit`` is None; None: 0.001."""
     resolution_deg: float | None = None
     """Of the grid onto which unorganised points are projected; None: from their distances."""
     position: tuple[float, float, float] | None = None
