@@ -276,6 +276,21 @@ def test_a_robot_that_never_moves_is_told(tmp_path: Path):
     assert made.frames == 1
 
 
+def test_joints_that_were_asked_for_are_not_those_that_were_measured(tmp_path: Path):
+    m = Messages("mcap")
+    asked = [
+        (
+            "/joint_states_desired",
+            0.1 * k,
+            m.joints(m.header(0.1 * k), {"shoulder": 9.0, "lift": 2.0}),
+        )
+        for k in range(80)
+    ]
+    job = read_job(imported(tmp_path, [*arm(m), *asked], m).job)
+    joints = [frame.joints.tolist() for frame in job.frames if frame.joints is not None]
+    np.testing.assert_allclose(joints, [[each, -0.2, 2.0] for each in POSTURES[1:]])
+
+
 @pytest.mark.parametrize(("kind", "suffix"), [("mcap", ".mcap"), ("sqlite3", ".db3")])
 def test_a_bare_file_of_ros_2_is_a_bag(tmp_path: Path, kind: str, suffix: str):
     m = Messages(kind)

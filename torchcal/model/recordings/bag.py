@@ -66,7 +66,7 @@ class Bag:
             JobError: If the bag is damaged.
         """
         with _blamed_on(self.file):
-            pairs = [(self._made(bytes(raw)), time) for _, time, raw in self._raw(topic)]
+            pairs = [(self._made(raw), time) for _, time, raw in self._raw(topic)]
         made, received = np.array(pairs, np.int64).reshape(-1, 2).T
         return Stamps(made=made, received=received)
 

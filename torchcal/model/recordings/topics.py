@@ -20,6 +20,7 @@ class Topics:
     camera: str | None
     """Of the ``CameraInfo`` of depth images."""
     joints: tuple[str, ...]
+    """Of joint states, the likeliest to be measured first."""
     description: str | None
     """Of the URDF."""
 
@@ -40,7 +41,7 @@ def find_topics(bag: Bag, use: tuple[str, ...]) -> Topics:
             raise JobError(bag.file, topic, "no such topic", choices(bag.topics))
     ranges = _ranges(bag, use)
     is_image = ranges in bag.of_type(*_IMAGES)
-    joints = bag.of_type("JointState")
+    joints = sorted(bag.of_type("JointState"), key=_like_joint_states)
     return Topics(
         ranges=ranges,
         camera=_camera(bag, ranges, use) if is_image else None,
@@ -97,6 +98,11 @@ def _description(bag: Bag, use: tuple[str, ...]) -> str | None:
     chosen = [topic for topic in found if topic in use]
     named = [topic for topic in found if topic.rsplit("/", 1)[-1] == "robot_description"]
     return next(iter(chosen or sorted(named, key=len)), None)
+
+
+def _like_joint_states(topic: str) -> tuple[bool, int]:
+    """Sorts topics that are called as ROS calls them first: others may hold what was asked for."""
+    return topic.rsplit("/", 1)[-1] != "joint_states", len(topic)
 
 
 def _bare(topic: str) -> str:
