@@ -45,6 +45,16 @@ def test_the_imported_job_is_the_demos(demo, kind: str, tmp_path: Path):
         torch.testing.assert_close(
             other.image.range, one.image.range, rtol=0, atol=0, equal_nan=True
         )
+    for name in ("T_world_base", "T_link_sensor"):
+        torch.testing.assert_close(getattr(found, name), getattr(own, name), rtol=0, atol=1e-15)
+    assert own.base is not None
+    assert found.base is not None
+    torch.testing.assert_close(found.base.sigma, own.base.sigma, rtol=0, atol=0)
+    assert own.world is not None
+    assert found.world is not None
+    for one, other in zip(own.world.objects, found.world.objects, strict=True):
+        assert one.name == other.name
+        assert (one.mesh.triangles == other.mesh.triangles).all()
     assert own.robot is not None
     assert found.robot is not None
     assert found.robot.link_meshes.keys() == own.robot.link_meshes.keys()
