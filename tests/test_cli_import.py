@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import tiny_job
+from arm_bag import arm
 from bags import Messages, write_bag
-from test_import_bag import arm
 
 from torchcal.cli.import_recording import packages_of
 from torchcal.cli.main import main

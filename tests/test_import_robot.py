@@ -8,8 +8,8 @@ import pytest
 import tiny_job
 import torch
 import trimesh
+from arm_bag import arm
 from bags import Messages, write_bag
-from test_import_bag import arm
 
 from torchcal.errors import JobError
 from torchcal.model.read_job import read_job

@@ -130,9 +130,10 @@ def _tables(like: Path | None) -> dict[str, Any]:
     if like is None:
         return {}
     try:
-        return tomllib.loads(like.read_text(encoding="utf-8-sig"))
+        tables = tomllib.loads(like.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
         raise JobError(like, "", f"a job that cannot be read ({error})", "a job file") from error
+    return {name: table for name, table in tables.items() if isinstance(table, dict)}
 
 
 def _named_in(like: Path | None, tables: Mapping[str, Any], table: str, key: str) -> Path | None:

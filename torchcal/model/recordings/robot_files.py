@@ -43,7 +43,7 @@ def copy_robot(source: RobotSource, folder: Path, packages: Mapping[str, Path]) 
     root = parse_xml(source.named, source.xml)
     for element in [*root.iter("mesh"), *root.iter("texture")]:
         element.set("filename", _located(element.get("filename", ""), packages))
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     urdf = folder / "robot.urdf"
     copy_files(source.named, root, MeshFolder(folder / "meshes"))
     ET.ElementTree(root).write(urdf, encoding="utf-8", xml_declaration=True)
