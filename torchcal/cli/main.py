@@ -12,7 +12,18 @@ from rich.console import Console
 from torchcal.cli import commands
 from torchcal.cli.batch import run_batch
 from torchcal.cli.follow import run_follow
-from torchcal.cli.options import Batch, Calibrate, Check, Command, Demo, Follow, Render, parse
+from torchcal.cli.import_recording import run_import
+from torchcal.cli.options import (
+    Batch,
+    Calibrate,
+    Check,
+    Command,
+    Demo,
+    Follow,
+    Import,
+    Render,
+    parse,
+)
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -46,5 +57,6 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
         Render: commands.run_render,
         Check: commands.run_check,
         Batch: run_batch,
+        Import: run_import,
         Demo: commands.run_demo,
     }[type(command)]
