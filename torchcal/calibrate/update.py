@@ -18,10 +18,17 @@ from torchcal.calibrate.regions import (
     numbered,
     significant_regions,
 )
-from torchcal.calibrate.result import FrameComparison, ObjectVerdict, PixelClass, Update
+from torchcal.calibrate.result import (
+    AddedObject,
+    FrameComparison,
+    ObjectVerdict,
+    PixelClass,
+    Update,
+)
 from torchcal.model.job import Job
 from torchcal.model.scene import Body
 from torchcal.model.sensor import Sensor
+from torchcal.model.unique_names import unique_names
 from torchcal.model.world import World
 
 SEEN_THROUGH_SHARE = 0.6
@@ -79,7 +86,7 @@ def propose_update(
         if (patch := _patch(frame, mask, job.sensor, T)) is not None
     ]
     verdicts = {name: _moved(verdict, moved.get(name)) for name, verdict in verdicts.items()}
-    return Update(verdicts=verdicts, added=merged_objects(patches))
+    return Update(verdicts=verdicts, added=_renamed(merged_objects(patches), tuple(verdicts)))
 
 
 def object_verdict(
@@ -141,6 +148,12 @@ def _moved(verdict: ObjectVerdict, T_world_object: Tensor | None) -> ObjectVerdi
     if T_world_object is None or verdict.verdict != "agrees":
         return verdict
     return replace(verdict, verdict="moved", T_world_object=T_world_object)
+
+
+def _renamed(added: Sequence[AddedObject], taken: Sequence[str]) -> tuple[AddedObject, ...]:
+    """The added objects under names that no object of the world has."""
+    names = unique_names([*taken, *(item.name for item in added)])[len(taken) :]
+    return tuple(replace(item, name=name) for item, name in zip(added, names, strict=True))
 
 
 def _union(regions: Sequence[Region], kind: RegionKind, like: Tensor) -> Bool[Tensor, "h w"]:

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from torchcal.cli import commands
 from torchcal.cli.follow import run_follow
-from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Render, parse
+from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Render, Update, parse
+from torchcal.cli.update import run_update
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -44,5 +45,6 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
         Follow: run_follow,
         Render: commands.run_render,
         Check: commands.run_check,
+        Update: run_update,
         Demo: commands.run_demo,
     }[type(command)]

@@ -8,6 +8,10 @@ import tyro
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 JobFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="JOB")]
+ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+Names = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="(default: none)")
+]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,6 +85,19 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Update:
+    """List the proposed changes of the model; accept or reject them."""
+
+    result: ResultFolder
+    """What torchcal calibrate wrote."""
+    accept: Names = ()
+    """Changes that stay in DIR/world.glb; all: every one that is not named."""
+    reject: Names = ()
+    """Changes that are taken back; all: every one that is not named."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Demo:
     """Make a robot, a cell and a recording, calibrate it, compare with the truth."""
 
@@ -89,13 +106,14 @@ class Demo:
     options: Shared = Options()
 
 
-Command = Calibrate | Follow | Render | Check | Demo
+Command = Calibrate | Follow | Render | Check | Update | Demo
 
 COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
     "follow": Follow,
     "render": Render,
     "check": Check,
+    "update": Update,
     "demo": Demo,
 }
 

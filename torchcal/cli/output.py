@@ -13,7 +13,8 @@ MARKERS = ("result.json", "preview")
 """What every folder that torchcal wrote holds, here or in ``result`` (the demo)."""
 
 WRITTEN = ("result.json", "frames.jsonl", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
-WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png")
+WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png", "frames/*.npz", "model/*.glb")
+WRITTEN += ("model/record.json", ".world.partial-*.glb")
 """Files that torchcal writes."""
 
 WRITTEN_FOLDERS = ("meshes", "job")

@@ -1,0 +1,76 @@
+"""The comparison of a frame as a file of compressed arrays; what is compared, to the last bit."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchcal.calibrate.result import FrameComparison
+
+
+def write_comparison(comparison: FrameComparison, file: Path) -> None:
+    """Writes ``.npz`` that ``read_comparison`` reads: single precision, colours as bytes."""
+    np.savez_compressed(
+        file,
+        measured=_array(comparison.measured).astype(np.float32),
+        predicted=_array(comparison.predicted).astype(np.float32),
+        sigma=_array(comparison.sigma).astype(np.float32),
+        label=_array(comparison.label).astype(np.uint8),
+        body=_array(comparison.body).astype(np.int32),
+        colour=np.round(255.0 * _array(comparison.colour)).astype(np.uint8),
+        normal=_array(comparison.normal).astype(np.float16),
+        usable=_array(comparison.usable),
+    )
+
+
+def read_comparison(file: Path, name: str) -> FrameComparison:
+    """The comparison of the frame ``name``; normals are true to a thousandth."""
+    with np.load(file) as data:
+        arrays = {key: torch.from_numpy(data[key]) for key in data.files}
+    return FrameComparison(
+        name=name,
+        measured=arrays["measured"],
+        predicted=arrays["predicted"],
+        sigma=arrays["sigma"],
+        label=arrays["label"].long(),
+        body=arrays["body"].long(),
+        colour=arrays["colour"].float() / 255.0,
+        normal=arrays["normal"].float(),
+        usable=arrays["usable"],
+    )
+
+
+class ComparisonFiles(Sequence[FrameComparison]):
+    """The comparisons of a folder, each read when it is asked for.
+
+    Args:
+        folder: Where the files are.
+        frames: Name and file of every frame.
+    """
+
+    def __init__(self, folder: Path, frames: Sequence[tuple[str, str]]):
+        self.folder = folder
+        self.frames = tuple(frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @overload
+    def __getitem__(self, index: int) -> FrameComparison: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> "ComparisonFiles": ...
+
+    def __getitem__(self, index: int | slice) -> "FrameComparison | ComparisonFiles":
+        if isinstance(index, slice):
+            return ComparisonFiles(self.folder, self.frames[index])
+        name, file = self.frames[index]
+        return read_comparison(self.folder / file, name)
+
+
+def _array(tensor: Tensor) -> NDArray:
+    return tensor.detach().cpu().numpy()
