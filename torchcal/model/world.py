@@ -106,7 +106,7 @@ def write_world(world: World, file: Path, extras: Mapping[str, Any] | None = Non
     scene = trimesh.Scene(base_frame=longer_than_any_name, metadata=dict(extras or {}))
     for item in world.objects:
         scene.add_geometry(
-            _for_gltf(item.mesh),
+            for_gltf(item.mesh),
             node_name=item.name,
             geom_name=item.name,
             transform=item.T_world_object.detach().cpu().double().numpy(),
@@ -126,7 +126,7 @@ def read_extras(file: Path) -> dict[str, Any]:
     return scenes[0].get("extras", {}) if scenes else {}
 
 
-def _for_gltf(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def for_gltf(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """GLTF knows colours of vertices only: faces of different colours must not share any."""
     if not _has_face_colours(mesh):
         return _with_plain_texture(mesh.copy())

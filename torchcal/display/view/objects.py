@@ -1,0 +1,86 @@
+"""The objects of the model as a person's decisions leave them, and how each is painted."""
+
+from dataclasses import dataclass
+
+import torch
+import trimesh
+from jaxtyping import Float
+from matplotlib.colors import to_rgb
+from torch import Tensor
+
+from torchcal.calibrate.decisions import Decision, Transaction
+from torchcal.calibrate.result import AddedObject, Change, PixelClass
+from torchcal.display.colours import CLASS_COLOURS
+from torchcal.model.world import WorldObject
+
+RGB = tuple[int, int, int]
+
+
+def _bytes(colour: str) -> RGB:
+    red, green, blue = (round(255.0 * part) for part in to_rgb(colour))
+    return red, green, blue
+
+
+GONE = _bytes(CLASS_COLOURS[PixelClass.FARTHER])
+"""Seen through, like the pixels that say so."""
+NEW = _bytes(CLASS_COLOURS[PixelClass.UNMODELLED])
+"""Measured and not in the model."""
+GHOST = 0.45
+"""Opacity of what a proposal takes away."""
+DRAFT = 0.75
+"""Opacity of what a proposal adds."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShownObject:
+    """One mesh of the view."""
+
+    name: str
+    mesh: trimesh.Trimesh
+    T_world_object: Float[Tensor, "4 4"]
+    paint: RGB | None = None
+    """None: the mesh's own colours."""
+    opacity: float = 1.0
+
+
+def shown_objects(transaction: Transaction) -> tuple[ShownObject, ...]:
+    """What is accepted stands there, what is rejected does not, what is proposed shines through."""
+    changes = {proposal.name: proposal.change for proposal in transaction.update.proposals}
+    old = () if transaction.world is None else transaction.world.objects
+    shown: list[ShownObject] = []
+    for item in old:
+        shown += _old(item, changes.get(item.name), transaction)
+    for item in transaction.update.added:
+        shown += _new(item, transaction.decisions[item.name])
+    return tuple(shown)
+
+
+def _old(item: WorldObject, change: Change | None, transaction: Transaction) -> list[ShownObject]:
+    """An object of the job's model: where it was, where it is, or both."""
+    there = ShownObject(name=item.name, mesh=item.mesh, T_world_object=item.T_world_object)
+    decision = transaction.decisions.get(item.name)
+    if change is None or decision == Decision.REJECTED:
+        return [there]
+    ghost = ShownObject(
+        name=item.name,
+        mesh=item.mesh,
+        T_world_object=item.T_world_object,
+        paint=GONE,
+        opacity=GHOST,
+    )
+    left = [] if decision == Decision.ACCEPTED else [ghost]
+    T = transaction.update.verdicts[item.name].T_world_object
+    if change == Change.REMOVE or T is None:
+        return left
+    return [*left, ShownObject(name=item.name, mesh=item.mesh, T_world_object=T)]
+
+
+def _new(item: AddedObject, decision: Decision) -> list[ShownObject]:
+    """A new object: a draft until it is accepted."""
+    if decision == Decision.REJECTED:
+        return []
+    eye = torch.eye(4, dtype=torch.float64)
+    opacity = 1.0 if decision == Decision.ACCEPTED else DRAFT
+    return [
+        ShownObject(name=item.name, mesh=item.mesh, T_world_object=eye, paint=NEW, opacity=opacity)
+    ]
