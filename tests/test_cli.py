@@ -155,7 +155,7 @@ def test_a_missing_gpu_is_a_clear_error(library, capsys, monkeypatch):
     assert "torch sees no GPU" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [[], ["view", "x"], ["calibrate", "job.toml"]])
+@pytest.mark.parametrize("arguments", [[], ["look", "x"], ["calibrate", "job.toml"]])
 def test_mistyped_commands_end_with_two(arguments, capsys):
     with pytest.raises(SystemExit) as ending:
         main(arguments)

@@ -1,8 +1,6 @@
 """The comparison of a frame as a file of compressed arrays; what is compared, to the last bit."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 import torch
@@ -42,34 +40,6 @@ def read_comparison(file: Path, name: str) -> FrameComparison:
         normal=arrays["normal"].float(),
         usable=arrays["usable"],
     )
-
-
-class ComparisonFiles(Sequence[FrameComparison]):
-    """The comparisons of a folder, each read when it is asked for.
-
-    Args:
-        folder: Where the files are.
-        frames: Name and file of every frame.
-    """
-
-    def __init__(self, folder: Path, frames: Sequence[tuple[str, str]]):
-        self.folder = folder
-        self.frames = tuple(frames)
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    @overload
-    def __getitem__(self, index: int) -> FrameComparison: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> "ComparisonFiles": ...
-
-    def __getitem__(self, index: int | slice) -> "FrameComparison | ComparisonFiles":
-        if isinstance(index, slice):
-            return ComparisonFiles(self.folder, self.frames[index])
-        name, file = self.frames[index]
-        return read_comparison(self.folder / file, name)
 
 
 def _array(tensor: Tensor) -> NDArray:

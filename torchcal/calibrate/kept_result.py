@@ -1,7 +1,8 @@
 """What stays of a calibration: all that updating and viewing it need, in memory or in a folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import torch
 import trimesh
@@ -27,6 +28,31 @@ class FramePlace:
     """Of the robot's links that show something."""
 
 
+class OnDemand(Sequence[FrameComparison]):
+    """Comparisons that are read or made when they are asked for.
+
+    Args:
+        makers: One for each comparison.
+    """
+
+    def __init__(self, makers: Iterable[Callable[[], FrameComparison]]):
+        self._makers = tuple(makers)
+
+    def __len__(self) -> int:
+        return len(self._makers)
+
+    @overload
+    def __getitem__(self, index: int) -> FrameComparison: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> "OnDemand": ...
+
+    def __getitem__(self, index: int | slice) -> "FrameComparison | OnDemand":
+        if isinstance(index, slice):
+            return OnDemand(self._makers[index])
+        return self._makers[index]()
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Result:
     """A calibration as it is kept."""
@@ -44,7 +70,7 @@ class Result:
     """What the robot's links look like, each in its own frame (m)."""
     frames: tuple[FramePlace, ...]
     comparisons: Sequence[FrameComparison]
-    """One for each frame; from a folder, each is read when it is asked for."""
+    """One for each frame; from a folder they are ``OnDemand``."""
 
 
 def kept(calibration: Calibration) -> Result:

@@ -11,6 +11,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchcal.calibrate.comparison_files import ComparisonFiles, write_comparison
+from torchcal.calibrate.comparison_files import read_comparison, write_comparison
 from torchcal.calibrate.decisions import Decision, Transaction
-from torchcal.calibrate.kept_result import FramePlace, Result
+from torchcal.calibrate.kept_result import FramePlace, OnDemand, Result
 from torchcal.calibrate.result import AddedObject, Evidence, ObjectVerdict, Status, Update
 from torchcal.errors import TorchcalError
 from torchcal.geometry.projection import Pinhole, Projection, Spherical
@@ -96,8 +97,9 @@ def read_result(folder: Path | str) -> Result:
             frames=tuple(
                 _place(*each) for each in zip(record["frames"], result["frames"], strict=True)
             ),
-            comparisons=ComparisonFiles(
-                folder / "frames", [(each["name"], each["file"]) for each in record["frames"]]
+            comparisons=OnDemand(
+                partial(read_comparison, folder / "frames" / each["file"], each["name"])
+                for each in record["frames"]
             ),
         )
 

@@ -11,8 +11,19 @@ from rich.console import Console
 
 from torchcal.cli import commands
 from torchcal.cli.follow import run_follow
-from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Render, Update, parse
+from torchcal.cli.options import (
+    Calibrate,
+    Check,
+    Command,
+    Demo,
+    Follow,
+    Render,
+    Update,
+    View,
+    parse,
+)
 from torchcal.cli.update import run_update
+from torchcal.cli.view import run_view
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -45,6 +56,7 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
         Follow: run_follow,
         Render: commands.run_render,
         Check: commands.run_check,
+        View: run_view,
         Update: run_update,
         Demo: commands.run_demo,
     }[type(command)]

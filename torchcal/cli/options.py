@@ -85,6 +85,23 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class View:
+    """Show a calibration, or a job before it, in a browser."""
+
+    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|JOB")]
+    """What torchcal calibrate wrote, or a job: it is shown at the nominal pose."""
+    follow: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: none)")
+    ] = None
+    """Follow the torchcal follow of this JOB that writes, or wrote, into DIR."""
+    host: str = "127.0.0.1"
+    """The address to listen on; 0.0.0.0 is every network that this machine is in."""
+    port: int = 8080
+    """The port to listen on; the next free one if it is taken."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Update:
     """List the proposed changes of the model; accept or reject them."""
 
@@ -106,13 +123,14 @@ class Demo:
     options: Shared = Options()
 
 
-Command = Calibrate | Follow | Render | Check | Update | Demo
+Command = Calibrate | Follow | Render | Check | View | Update | Demo
 
 COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
     "follow": Follow,
     "render": Render,
     "check": Check,
+    "view": View,
     "update": Update,
     "demo": Demo,
 }

@@ -1,5 +1,6 @@
 """Writing a folder as a whole or not at all."""
 
+import glob
 import secrets
 import shutil
 import tomllib
@@ -76,6 +77,14 @@ def foreign_file(folder: Path) -> Path | None:
         if not marked or not _is_ours(file.relative_to(folder)):
             return file
     return None
+
+
+def newest(folder: Path, name: str) -> Path | None:
+    """A file of a folder, or of the one that is being written to take its place."""
+    target = folder.resolve()
+    folders = (target, *target.parent.glob(f".{glob.escape(target.name)}.partial-*"))
+    files = [each / name for each in folders if (each / name).is_file()]
+    return max(files, key=lambda file: file.stat().st_mtime_ns, default=None)
 
 
 def _is_ours(path: PurePath) -> bool:

@@ -12,7 +12,7 @@ from torchcal.calibrate.result import FrameComparison
 from torchcal.display.arrays import as_array
 from torchcal.display.view.panel import Panel
 from torchcal.display.view.pictures import hybrid_picture, raw_picture
-from torchcal.display.view.settings import Settings, first_look
+from torchcal.display.view.settings import Settings, shoulder_look
 from torchcal.display.view.shapes import class_points, range_points
 from torchcal.display.view.source import Source
 from torchcal.display.view.stage import Stage
@@ -52,7 +52,6 @@ class View:
             can_decide=source.can_decide,
         )
         self._stage.open(self._result)
-        self._look()
         self._draw()
 
     @property
@@ -78,12 +77,14 @@ class View:
         except TorchcalError as error:
             self._panel.complain(str(error))
             return
-        if latest is not self._result:
-            newer = len(latest.frames) > len(self._result.frames)
-            self._result = latest
-            self._draw()
-            if newer:
-                self._panel.show_frame(len(latest.frames) - 1)
+        if latest is self._result:
+            return
+        before, self._result = len(self._result.frames), latest
+        if len(latest.frames) < before:
+            self._forget()
+        self._draw()
+        if len(latest.frames) != before:
+            self._panel.show_frame(len(latest.frames) - 1)
 
     def stop(self) -> None:
         """Ends the server."""
@@ -106,12 +107,22 @@ class View:
             return
         self.refresh()
 
-    def _look(self) -> None:
-        """Where a browser looks from at first."""
-        if self._result.frames:
-            T = as_array(self._result.frames[0].T_world_sensor)
-            camera = self._server.initial_camera
-            camera.position, camera.look_at = first_look(T, self._comparison(0))
+    def _forget(self) -> None:
+        """Another recording has begun: frames are other frames."""
+        with self._drawing:
+            self._compared = None
+            for part in ("place", "points", "pixels"):
+                self._drawn.pop(part, None)
+
+    def _look(self, index: int) -> None:
+        """Looks over the sensor's shoulder, in every browser and those to come."""
+        T = as_array(self._result.frames[index].T_world_sensor)
+        eye, target = shoulder_look(T, self._comparison(index))
+        for camera in (
+            self._server.initial_camera,
+            *(client.camera for client in self._server.get_clients().values()),
+        ):
+            camera.position, camera.look_at = eye, target
 
     def _comparison(self, index: int) -> FrameComparison:
         """A frame's comparison; the last one is kept."""
@@ -137,6 +148,8 @@ class View:
     def _draw_frame(self, result: Result, settings: Settings) -> None:
         index, raw = settings.frame, settings.raw
         self._if_new("place", index, lambda: self._stage.place(result.frames[index]))
+        if settings.along:
+            self._if_new("look", index, lambda: self._look(index))
         key = (index, settings.alpha, raw)
         if self._drawn.get("pixels") == key:
             return

@@ -22,6 +22,13 @@ from torchcal.display.view.settings import (
 PICTURE_WIDTH, CONTROL_WIDTH = 560, 380
 """Pixels of the browser's window."""
 
+HINTS: dict[str, str] = {
+    "model": "The world and the robot.",
+    "measurement": "The measured points in the colours of their classes.",
+    "hybrid": "The hybrid image of the frame, or the raw one.",
+    "along": "Look over the sensor's shoulder in every frame that you choose.",
+}
+
 Change = Callable[[Callable[[Settings], Settings]], None]
 """Takes what a control makes of the settings."""
 
@@ -87,11 +94,12 @@ class Panel:
             for label, name in (
                 ("Model", "model"),
                 ("Measurement", "measurement"),
-                ("Hybrid image", "hybrid"),
+                ("Picture", "hybrid"),
+                ("Go along", "along"),
             ):
-                box = self._gui.add_checkbox(label, getattr(settings, name))
+                box = self._gui.add_checkbox(label, getattr(settings, name), hint=HINTS[name])
                 self._on(box, lambda s, value, name=name: replace(s, **{name: bool(value)}))
-            self._raw = self._gui.add_checkbox("Raw measurement only (key R)", settings.raw)
+            self._raw = self._gui.add_checkbox("Raw only (R)", settings.raw)
             self._on(self._raw, lambda s, value: replace(s, raw=bool(value)))
         key = self._gui.add_command("Raw measurement on or off", hotkey="R")
 

@@ -26,6 +26,8 @@ class Settings:
     model: bool = True
     measurement: bool = True
     hybrid: bool = True
+    along: bool = True
+    """The viewer looks over the sensor's shoulder in every new frame."""
 
     @staticmethod
     def of(result: Result) -> "Settings":
@@ -51,13 +53,13 @@ def object_names(result: Result) -> tuple[str, ...]:
     return (*proposed, *(name for name in result.bodies if name not in proposed))
 
 
-def first_look(
+def shoulder_look(
     T_world_sensor: Float[np.ndarray, "4 4"], comparison: FrameComparison
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """Where the viewer stands first and what it looks at (m, world): over the sensor's shoulder."""
+    """Where a viewer stands behind the sensor and what it looks at (m, world)."""
     ranges = as_array(comparison.measured)
     finite = ranges[np.isfinite(ranges)]
     away = float(np.median(finite)) if finite.size else 1.0
     place, (right, down, forward) = T_world_sensor[:3, 3], T_world_sensor[:3, :3].T
-    eye = place - 0.35 * away * forward - 0.25 * away * down + 0.3 * away * right
-    return eye, place + 0.8 * away * forward
+    eye = place - 0.45 * away * forward - 0.4 * away * down + 0.3 * away * right
+    return eye, place + 0.7 * away * forward

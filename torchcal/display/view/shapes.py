@@ -102,9 +102,9 @@ def _points(
 ) -> Points:
     """The shown pixels as points, every few of them where there are too many."""
     step = max(1, math.ceil(math.sqrt(shown.sum() / MOST_POINTS)))
-    v, u = (index[::step, ::step] for index in np.indices(shown.shape))
-    kept = shown[v, u]
-    v, u = v[kept], u[kept]
+    few = np.zeros_like(shown)
+    few[::step, ::step] = True
+    v, u = np.nonzero(shown & few)
     grid = pixel_grid(projection, dtype=torch.float64, device=torch.device("cpu"))
     rays = projection.rays(*(axis[v, u] for axis in grid)).numpy()
     positions = rays * ranges[v, u][:, None].astype(float)
