@@ -2,16 +2,19 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float
 from matplotlib.colors import to_rgb
 from torch import Tensor
+from trimesh.visual import TextureVisuals
 
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.result import AddedObject, Change, PixelClass
 from torchcal.display.colours import CLASS_COLOURS
-from torchcal.model.world import WorldObject
+from torchcal.model.meshes import face_colours, painted
+from torchcal.model.world import WorldObject, for_gltf
 
 RGB = tuple[int, int, int]
 
@@ -41,6 +44,20 @@ class ShownObject:
     paint: RGB | None = None
     """None: the mesh's own colours."""
     opacity: float = 1.0
+
+
+def for_browser(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with colours that a browser shows as the hybrid image does.
+
+    Colours of the model are those of a screen (sRGB), colours in GLTF are shares of light.
+    """
+    visual = mesh.visual
+    if isinstance(visual, TextureVisuals) and visual.uv is not None:
+        return mesh
+    screen = face_colours(mesh) / 255.0
+    light = np.where(screen <= 0.04045, screen / 12.92, ((screen + 0.055) / 1.055) ** 2.4)
+    light[:, 3] = screen[:, 3]
+    return for_gltf(painted(mesh, np.round(255.0 * light).astype(np.uint8)))
 
 
 def shown_objects(transaction: Transaction) -> tuple[ShownObject, ...]:

@@ -3,13 +3,14 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torchcal.calibrate.kept_result import Result
 from torchcal.calibrate.result_folder import NEW_WORLD, decide, read_result, read_transaction
 from torchcal.errors import TorchcalError
 
 
+@runtime_checkable
 class Source(Protocol):
     """What the view shows and writes to."""
 

@@ -11,11 +11,10 @@ from viser.transforms import SO3
 
 from torchcal.calibrate.kept_result import FramePlace, Result
 from torchcal.display.arrays import as_array
-from torchcal.display.view.objects import NEW, ShownObject, shown_objects
+from torchcal.display.view.objects import ShownObject, for_browser, shown_objects
 from torchcal.display.view.settings import Settings
 from torchcal.display.view.shapes import Points, ellipsoid, frustum
 from torchcal.geometry.projection import Projection
-from torchcal.model.world import for_gltf
 
 MODEL, POINTS, SENSOR = "/model", "/measurement", "/sensor"
 
@@ -117,7 +116,7 @@ class Stage:
         return handle
 
     def _own_colours(self, node: str, mesh: trimesh.Trimesh) -> viser.GlbHandle:
-        return self.scene.add_mesh_trimesh(node, for_gltf(mesh), cast_shadow=False)
+        return self.scene.add_mesh_trimesh(node, for_browser(mesh), cast_shadow=False)
 
     def _clickable(self, handle: viser.GlbHandle | viser.MeshHandle, name: str) -> None:
         handle.on_click(lambda _: self.clicked(name))
@@ -137,8 +136,8 @@ class Stage:
         a, b, c = (max(float(radius), THINNEST) for radius in shape.radii)
         self.scene.add_icosphere(
             f"{SENSOR}/ellipsoid",
-            color=NEW,
-            opacity=0.5,
+            color=SENSOR_COLOUR,
+            opacity=0.25,
             scale=(a, b, c),
             wxyz=SO3.from_matrix(shape.R_sensor_ellipsoid).wxyz,
             cast_shadow=False,

@@ -37,7 +37,7 @@ AGAINST: dict[Change, str] = {
 def headline(result: Result) -> str:
     """Whether the answer can be used, and why not."""
     mark = "✔" if result.status == Status.CONVERGED else "✘"
-    return f"**{mark} {HEADLINES[result.status]}** {_plain(result.message)}"
+    return f"**{mark} {HEADLINES[result.status]}.** {_plain(result.message)}"
 
 
 def proposal_list(transaction: Transaction) -> str:
@@ -59,7 +59,8 @@ def object_words(name: str, transaction: Transaction) -> str:
         return _proposal_words(proposals[name], transaction)
     verdict = transaction.update.verdicts.get(name)
     if verdict is None:
-        return f"**{_plain(name)}**: part of the robot."
+        whose = "part of the robot" if name.startswith("robot/") else "nothing is said of it here"
+        return f"**{_plain(name)}**: {whose}."
     return (
         f"**{_plain(name)}**: {verdict.verdict}. {verdict.agree:,} pixels agree, "
         f"{verdict.seen_through:,} see through it, in {verdict.hidden:,} something hides it."
@@ -75,14 +76,14 @@ def frame_words(comparison: FrameComparison, alpha: float) -> str:
 def uncertainty_words(place: FramePlace) -> str:
     """The size of the position's ellipsoid, and the rotation's standard deviations."""
     radii = 1000.0 * ellipsoid(place.pose_covariance).radii
-    sizes = " × ".join(f"{radius:.2g}" for radius in radii)
+    sizes = " × ".join(_short(radius) for radius in radii)
     turned = SIGMAS * np.rad2deg(
         float(place.pose_covariance.diagonal()[3:].clamp(min=0).sum()) ** 0.5
     )
     seen = "" if radii.max() >= 1000.0 * VISIBLE else " It is drawn true to size: too small to see."
     return (
         f"Where the sensor is: ± {sizes} mm along the axes of its ellipsoid, "
-        f"± {turned:.2g}° ({SIGMAS:g} σ).{seen}"
+        f"± {_short(turned)}° ({SIGMAS:g} σ).{seen}"
     )
 
 
@@ -111,6 +112,11 @@ def _proposal_words(proposal: Proposal, transaction: Transaction) -> str:
         f"{evidence.hidden:,} something hides it.{seen} "
         f"Decision: **{transaction.decisions[proposal.name].value}**."
     )
+
+
+def _short(value: float) -> str:
+    """A number with two digits or more, without an exponent."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 def _plain(text: str) -> str:
