@@ -1,5 +1,6 @@
 """The view in a real browser: it loads, sliders change the picture, a button decides."""
 
+import base64
 import io
 import shutil
 import time
@@ -90,15 +91,19 @@ def page(view, browser) -> Any:
 
 def shown(page: Any) -> np.ndarray:
     """The picture beside the scene, as the browser has it."""
-    data = page.evaluate(
-        """async () => {
+    url = page.evaluate(
+        """() => {
             const images = [...document.querySelectorAll('img')];
             const image = images.sort((a, b) => b.naturalWidth - a.naturalWidth)[0];
-            const bytes = await (await fetch(image.src)).arrayBuffer();
-            return Array.from(new Uint8Array(bytes));
+            const canvas = document.createElement('canvas');
+            canvas.width = Math.max(1, image.naturalWidth);
+            canvas.height = Math.max(1, image.naturalHeight);
+            canvas.getContext('2d').drawImage(image, 0, 0);
+            return canvas.toDataURL('image/png');
         }"""
     )
-    return np.asarray(Image.open(io.BytesIO(bytes(data))).convert("RGB"))
+    picture = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2])))
+    return np.asarray(picture.convert("RGB"))
 
 
 def comes(true: Callable[[], bool]) -> bool:
@@ -147,7 +152,8 @@ def test_a_person_sees_changes_and_decides_in_a_browser(folder, view, page):
 
 def test_a_click_asks_about_an_object_and_decisions_of_others_are_seen(folder, view, page):
     canvas = page.locator("canvas").first
-    assert shows(page, hybrid_picture(read_result(folder).comparisons[0]))
+    first = read_result(folder).comparisons[0]
+    assert shows(page, hybrid_picture(reclassified(first, 3.0)))
     assert view.settings.selected == "crate"
 
     def clicked() -> bool:
