@@ -133,6 +133,14 @@ def _set_time(file: Path, seconds: int) -> None:
     os.utime(file, (seconds, seconds))
 
 
+def test_a_recording_that_may_start_anywhere_cannot_be_viewed(tmp_path):
+    write_world(recordings.world_of(recordings.room()), tmp_path / "room.glb")
+    more = '\n[[frame]]\ndepth = "0.npy"\n[search]\ninitial = "anywhere"\n'
+    (tmp_path / "job.toml").write_text(JOB + more)
+    with pytest.raises(TorchcalError, match="expected 'nominal' to view it"):
+        Followed.of(read_recording(tmp_path / "job.toml"))
+
+
 def test_a_hand_held_sensor_with_a_pose_for_each_frame_stands_where_it_was(tmp_path):
     """Frames at their own nominal poses; the correction is that of the first one."""
     write_world(recordings.world_of(recordings.room()), tmp_path / "room.glb")
@@ -141,7 +149,7 @@ def test_a_hand_held_sensor_with_a_pose_for_each_frame_stands_where_it_was(tmp_p
     )
     (tmp_path / "job.toml").write_text(JOB + frames)
     followed = Followed.of(read_recording(tmp_path / "job.toml"))
-    names = followed.tracker.parameters.names
+    names = followed.parameters.names
     values = [0.01, 0.0, 0.0, 0.0, 0.0, 0.1]
     line = {
         "corrections": {name: {"value": v} for name, v in zip(names, values, strict=True)},

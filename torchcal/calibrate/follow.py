@@ -25,22 +25,12 @@ def follow(
     Raises:
         TorchcalError: As ``Tracker.of``, before the first frame.
     """
-    return _tracked(first_tracker(recording, drift=drift, generator=generator), recording)
-
-
-def first_tracker(
-    recording: Recording, *, drift: Wander | None = None, generator: torch.Generator
-) -> Tracker:
-    """The tracker before the first frame, as ``follow`` begins.
-
-    Raises:
-        TorchcalError: As ``Tracker.of``.
-    """
     job = recording.job
     first = recording.files[0].T_world_sensor
     if first is not None:
         job = replace(job, T_world_base=first.to(job.T_world_base))
-    return Tracker.of(job, drift=drift, generator=generator)
+    tracker = Tracker.of(job, drift=drift, generator=generator)
+    return _tracked(tracker, recording)
 
 
 def _tracked(tracker: Tracker, recording: Recording) -> Iterator[Tracked]:

@@ -4,21 +4,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.compare import compare
 from torchcal.calibrate.estimate import nominal_belief
-from torchcal.calibrate.follow import first_tracker
 from torchcal.calibrate.kept_result import FramePlace
-from torchcal.calibrate.live_frame import usable_frame
+from torchcal.calibrate.live_frame import only_frame, usable_frame
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import FrameComparison
-from torchcal.calibrate.tracker import Tracker
-from torchcal.errors import JobError
+from torchcal.errors import JobError, TorchcalError
 from torchcal.geometry import gaussian
-from torchcal.model.job import Frame
+from torchcal.model.job import Frame, Job
 from torchcal.model.read_job import Recording
+from torchcal.model.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,18 +36,29 @@ class Followed:
     """A recording that is being followed by another program."""
 
     recording: Recording
-    tracker: Tracker
-    """As it was before the first frame."""
+    job: Job
+    """Of one frame that is not there yet, as a tracker begins with it."""
+    scene: Scene
+    parameters: Parameters
+    """Of that frame."""
 
     @staticmethod
     def of(recording: Recording) -> "Followed":
         """A recording before its first frame.
 
         Raises:
-            TorchcalError: If it cannot be followed.
+            TorchcalError: If its start is to be sought anywhere: its nominal pose says nothing.
         """
-        tracker = first_tracker(recording, generator=torch.Generator().manual_seed(0))
-        return Followed(recording=recording, tracker=tracker)
+        job = recording.job
+        if job.initial != "nominal":
+            found = f"{job.file}: found search.initial = {job.initial!r}"
+            raise TorchcalError(f"{found}; expected 'nominal' to view it while it is followed")
+        first = recording.files[0].T_world_sensor
+        if first is not None:
+            job = replace(job, T_world_base=first.to(job.T_world_base))
+        job, scene = only_frame(job), build_job_scene(job)
+        parameters = Parameters.of(job, scene)
+        return Followed(recording=recording, job=job, scene=scene, parameters=parameters)
 
     def passed(self, index: int, line: Mapping[str, Any]) -> Passed:
         """What a line of ``frames.jsonl`` says.
@@ -55,9 +66,8 @@ class Followed:
         Raises:
             KeyError: If the line lacks what is needed.
         """
-        parameters = self.tracker.parameters
+        parameters, nominal = self.parameters, self.parameters.nominal
         corrections = [line["corrections"][name]["value"] for name in parameters.names]
-        nominal = parameters.nominal
         return Passed(
             index=index,
             state=parameters.retract(nominal, nominal.new_tensor(corrections)),
@@ -67,10 +77,10 @@ class Followed:
     def place(self, passed: Passed) -> FramePlace:
         """Where everything was."""
         file = self.recording.files[passed.index]
-        parameters = self.tracker.parameters.at(file.blank())
+        parameters = self.parameters.at(file.blank())
         Ts = parameters.mechanism.bodies(passed.state)[0].double().cpu()
         J = parameters.pose_jacobians(passed.state)[0]
-        bodies = zip(self.tracker.scene.bodies, Ts, strict=True)
+        bodies = zip(self.scene.bodies, Ts, strict=True)
         return FramePlace(
             name=file.name,
             T_world_sensor=parameters.sensor_poses(passed.state)[0].double().cpu(),
@@ -81,16 +91,16 @@ class Followed:
     def comparison(self, passed: Passed) -> FrameComparison:
         """The frame against the model as it was believed to be; blank where it cannot be read."""
         frame = self._frame(passed.index)
-        parameters = self.tracker.parameters.at(frame)
-        job = replace(self.tracker.job, frames=(frame,))
+        parameters = self.parameters.at(frame)
+        job = replace(self.job, frames=(frame,))
         belief = nominal_belief(job, parameters)
         belief = replace(belief, state=passed.state, covariance=passed.covariance)
-        return compare(job, self.tracker.scene, parameters, belief)[1][0]
+        return compare(job, self.scene, parameters, belief)[1][0]
 
     def _frame(self, index: int) -> Frame:
         blank = self.recording.files[index].blank()
         try:
-            frame = usable_frame(self.recording.frame(index), self.tracker.job)
+            frame = usable_frame(self.recording.frame(index), self.job)
         except JobError:
             return blank
         return blank if isinstance(frame, str) else frame

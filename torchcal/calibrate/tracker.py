@@ -20,10 +20,11 @@ from torchcal.calibrate.live_frame import only_frame, usable_frame
 from torchcal.calibrate.observability import parameter_words
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.slots import BASE
 from torchcal.calibrate.tracked import Tracked, TrackStatus
 from torchcal.calibrate.wander import Wander, own_error
 from torchcal.errors import TorchcalError
-from torchcal.geometry import gaussian
+from torchcal.geometry import gaussian, se3
 from torchcal.model.job import Frame, Job
 from torchcal.model.scene import Scene
 
@@ -104,7 +105,7 @@ class Tracker:
         usable = usable_frame(frame, self.job)
         if isinstance(usable, str):
             return self.skip(frame.image.name, usable)
-        expecting = self._expecting(self.parameters.at(usable))
+        expecting = self._expecting(self._placed(usable))
         alone = replace(self.job, frames=(usable,))
         fit = FrameFit.of(alone, self.scene, expecting._wide(), self.trust or Trust())
         if not fit.measured:
@@ -144,6 +145,17 @@ class Tracker:
             state=state,
             covariance=self.covariance * kept[:, None] * kept + torch.diag(fresh),
         )
+
+    def _placed(self, frame: Frame) -> Parameters:
+        """The parameters of one frame, with the kinematics where it was taken."""
+        mechanism = self.parameters.mechanism
+        if frame.joints is not None:
+            mechanism = replace(mechanism, joints=frame.joints.to(mechanism.joints)[None])
+        if frame.T_world_sensor is not None:
+            T_first = self.parameters.nominal[BASE]
+            T = se3.inverse(T_first) @ frame.T_world_sensor.to(T_first)
+            mechanism = replace(mechanism, Ts_first_frame=T[None])
+        return replace(self.parameters, mechanism=mechanism)
 
     @property
     def _bump(self) -> Tensor:

@@ -78,7 +78,7 @@ class FollowSource:
         return True
 
     def _result(self) -> Result:
-        job, tracker = self.followed.recording.job, self.followed.tracker
+        job = self.followed.job
         count = min(len(self.lines), len(self.followed.recording.files))
         try:
             passed = [self.followed.passed(k, self.lines[k]) for k in range(count)]
@@ -92,7 +92,7 @@ class FollowSource:
             message=message,
             alpha=job.alpha,
             projection=job.sensor.projection,
-            bodies=tuple(body.name for body in tracker.scene.bodies),
+            bodies=tuple(body.name for body in self.followed.scene.bodies),
             transaction=Transaction.undecided(job.file.name, job.world, nothing),
             link_meshes={} if job.robot is None else job.robot.link_meshes,
             frames=tuple(self.followed.place(each) for each in passed),
