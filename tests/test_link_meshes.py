@@ -5,13 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
+from PIL import Image
 from trimesh.exchange.dae import export_collada
 
 from torchcal.errors import JobError
 from torchcal.model.meshes import face_colours
+from torchcal.model.paint import paint_of
 from torchcal.model.robot import load_robot
 
+RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 JOINT = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
 
 
@@ -95,3 +99,17 @@ def test_meshes_are_found_in_packages(where: str, tmp_path: Path, monkeypatch: p
     if where == "by file://":
         name = f"file://{package}/a%20b.stl"
     assert link_mesh(folder, f'<mesh filename="{name}"/>').volume == pytest.approx(1.0)
+
+
+def test_a_link_keeps_its_texture_and_a_colour_of_the_urdf_replaces_it(tmp_path: Path):
+    Image.new("RGB", (2, 2), (10, 200, 30)).save(tmp_path / "skin.png")
+    (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
+    (tmp_path / "a.obj").write_text(
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
+    )
+    own = paint_of(link_mesh(tmp_path, '<mesh filename="a.obj"/>'))
+    assert [image[0, 0].tolist() for image in own.images] == [[10, 200, 30]]
+    text = visual('<mesh filename="a.obj"/>').replace("</visual>", f"{RED}</visual>")
+    painted = paint_of(load_robot(write(tmp_path, text)).link_meshes["a"])
+    assert painted.images == ()
+    assert (painted.colour == torch.tensor([1.0, 0.0, 0.0])).all()

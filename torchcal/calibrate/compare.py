@@ -11,12 +11,10 @@ from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.range_fit import FILLED
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.geometry import gaussian, robust
-from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Frame, Job
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Sensor
-from torchcal.render.facets import Facets
-from torchcal.render.synthesis import Synthesis, place_vertices
+from torchcal.render.appearance import appearance
 
 EMPTY = 0.01
 """Share of the beam that may meet the model where a measurement still counts as unmodelled."""
@@ -106,14 +104,14 @@ def _shown(
     modelled = (synthesis.coverage > FILLED) & prediction.range.isfinite()
     P = belief.covariance[active[:, None], active].to(prediction.jacobian)
     none = torch.zeros_like(prediction.range)
-    colour, normal, body = _appearance(scene, poses, synthesis, sensor)
+    shown = appearance(scene, poses, sensor, synthesis.face)
     return _Shown(
         range=torch.where(modelled, prediction.range, torch.nan),
         mixed=~modelled & (synthesis.coverage > EMPTY),
         spread=gaussian.predicted_sigma(prediction.jacobian, P, none),
-        colour=colour,
-        normal=normal,
-        body=body,
+        colour=shown.colour,
+        normal=shown.normal,
+        body=shown.body,
     )
 
 
@@ -169,24 +167,3 @@ def classify(
     label = label.masked_fill(~is_measured & is_modelled, PixelClass.MISSING)
     label = label.masked_fill(is_measured & ~is_modelled, PixelClass.UNMODELLED)
     return label.masked_fill(~usable, PixelClass.NOT_COMPARED)
-
-
-def _appearance(
-    scene: Scene, poses: Tensor, synthesis: Synthesis, sensor: Sensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Colour, normal towards the sensor, and body of what every pixel's centre shows."""
-    surface, face = scene.surface, synthesis.face
-    met, index = (face >= 0)[..., None], face.clamp(min=0)
-    facets = Facets.of(place_vertices(surface, poses), surface.faces)
-    normal = torch.nn.functional.normalize(facets.normal[index], dim=-1)
-    rays = sensor.projection.rays(
-        *pixel_grid(sensor.projection, dtype=normal.dtype, device=normal.device)
-    )
-    normal = torch.where((normal * rays).sum(-1, keepdim=True) > 0, -normal, normal)
-    colour = surface.face_colour[index].to(normal)
-    body = surface.vertex_body[surface.faces[index, 0]]
-    return (
-        torch.where(met, colour, 0.0),
-        torch.where(met, normal, 0.0),
-        torch.where(face >= 0, body, -1),
-    )

@@ -86,6 +86,7 @@ def calibrate(
         update=update,
         next_view=ahead,
         timing=stages.timing,
+        seed=generator.initial_seed(),
     )
 
 

@@ -223,6 +223,8 @@ class Calibration:
     """None without joints that could be moved, or where nothing was estimated."""
     timing: dict[str, float]
     """Seconds for each stage."""
+    seed: int | None = None
+    """Of the generator that starts were drawn with; None where nobody knows."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -3,28 +3,31 @@
 import matplotlib
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from matplotlib.colors import to_rgb
+from matplotlib.colors import Colormap, LinearSegmentedColormap, to_rgb
 
 from torchcal.calibrate.result import PixelClass
 
 RANGE_MAP = matplotlib.colormaps["viridis"]
 """Near is dark blue, far is yellow; it has no greys, the colours of most models."""
 
-DIFFERENCE_MAP = matplotlib.colormaps["RdBu"]
-"""Red where the measurement is nearer than the model, blue where it is farther."""
-
 NEUTRAL = "#26282b"
 """Where there is nothing to show."""
 
 CLASS_COLOURS: dict[PixelClass, str] = {
-    PixelClass.NOT_COMPARED: "#4a4d52",
-    PixelClass.AGREES: "#009e73",
-    PixelClass.NEARER: "#d55e00",
-    PixelClass.FARTHER: "#56b4e9",
-    PixelClass.MISSING: "#f0e442",
-    PixelClass.UNMODELLED: "#cc79a7",
+    PixelClass.NOT_COMPARED: NEUTRAL,
+    PixelClass.AGREES: "#dcddde",
+    PixelClass.NEARER: "#d43b0a",
+    PixelClass.FARTHER: "#5b85cc",
+    PixelClass.MISSING: "#ddab01",
+    PixelClass.UNMODELLED: "#7d1e85",
 }
-"""The palette of Okabe and Ito, on a neutral grey."""
+"""Quiet where all is well. No two are alike to eyes that lack one kind of cone."""
+
+DIFFERENCE_MAP = LinearSegmentedColormap.from_list(
+    "difference",
+    [CLASS_COLOURS[PixelClass.NEARER], "#f7f7f7", CLASS_COLOURS[PixelClass.FARTHER]],
+)
+"""From the colour of what is nearer than the model to that of what is farther."""
 
 CLASS_WORDS: dict[PixelClass, str] = {
     PixelClass.NOT_COMPARED: "not compared",
@@ -37,10 +40,14 @@ CLASS_WORDS: dict[PixelClass, str] = {
 """What each class says, in a few words."""
 
 
+def as_bytes(colour: str) -> UInt8[np.ndarray, " 3"]:
+    """A colour such as #26282b as RGB."""
+    return np.round(255.0 * np.array(to_rgb(colour))).astype(np.uint8)
+
+
 def class_image(label: Int[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Every pixel in the colour of its class."""
-    palette = np.array([to_rgb(CLASS_COLOURS[member]) for member in PixelClass])
-    return np.round(255.0 * palette).astype(np.uint8)[label]
+    return np.stack([as_bytes(CLASS_COLOURS[member]) for member in PixelClass])[label]
 
 
 def range_limits(ranges: Float[np.ndarray, "..."]) -> tuple[float, float]:
@@ -56,11 +63,24 @@ def range_limits(ranges: Float[np.ndarray, "..."]) -> tuple[float, float]:
     return low - spare, high + spare
 
 
-def range_colours(
+def range_image(
     ranges: Float[np.ndarray, "h w"], limits: tuple[float, float]
-) -> Float[np.ndarray, "h w 3"]:
-    """RGB (0 to 1) of ranges (m) between ``limits``; the neutral colour where they are NaN."""
+) -> UInt8[np.ndarray, "h w 3"]:
+    """RGB of ranges (m) between ``limits``; the neutral colour where they are NaN."""
     low, high = limits
-    finite = np.isfinite(ranges)
-    scaled = np.clip((np.where(finite, ranges, low) - low) / (high - low), 0.0, 1.0)
-    return np.where(finite[..., None], RANGE_MAP(scaled)[..., :3], to_rgb(NEUTRAL))
+    return _mapped((ranges - low) / (high - low), RANGE_MAP)
+
+
+def difference_image(
+    difference: Float[np.ndarray, "h w"], reach: float
+) -> UInt8[np.ndarray, "h w 3"]:
+    """RGB of differences up to ``reach`` both ways; the neutral colour where they are NaN."""
+    return _mapped(difference / (2.0 * reach) + 0.5, DIFFERENCE_MAP)
+
+
+def _mapped(share: Float[np.ndarray, "h w"], colours: Colormap) -> UInt8[np.ndarray, "h w 3"]:
+    """The colours of shares (0 to 1, beyond it the last ones) of a scale of 256 and no more."""
+    table = np.concatenate([colours(np.arange(256), bytes=True)[:, :3], as_bytes(NEUTRAL)[None]])
+    level = np.clip(np.nan_to_num(256.0 * share), 0.0, 255.0).astype(np.uint16)
+    level[~np.isfinite(share)] = 256
+    return table[level]

@@ -8,20 +8,28 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
-from torchcal.calibrate.result import (
-    AddedObject,
-    Calibration,
-    PixelClass,
-    Status,
-)
+from torchcal.calibrate.result import Calibration, PixelClass, Status
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.figures import SHOWN_AS, class_counts
+from torchcal.display.legend import hybrid_swatch
+from torchcal.display.report_rows import (
+    AGAINST,
+    FOR,
+    chance_words,
+    changes,
+    decimals,
+    glance,
+    next_view_rows,
+    objects,
+    pose_sigma,
+    sigma_words,
+)
 from torchcal.display.summary import corrections, distance_words, next_view_words, settings
 
 MOST_PICTURES = 24
 """More frames than this make a file too large to send: the worst ones are shown."""
 
-WIDEST_PICTURE = 1200
+WIDEST_PICTURE = 1320
 """Pixels; wider pictures are reduced."""
 
 HEADLINES: dict[Status, str] = {
@@ -70,22 +78,33 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
     )
     estimate = calibration.estimate
     here = estimate.Ts_world_sensor[0]
+    frames = _sections(calibration, pictures)
     return environment.get_template("report.html.j2").render(
         calibration=calibration,
         estimate=estimate,
         headline=HEADLINES[estimate.status],
+        glance=glance(calibration),
         corrections=corrections(calibration),
         next_view=next_view_words(calibration.next_view),
+        next_rows=next_view_rows(calibration),
         unobservable=[direction.words for direction in estimate.unobservable],
         alternatives=[
             (distance_words(here, other.Ts_world_sensor[0]), other.score)
             for other in estimate.alternatives
         ],
-        frames=_sections(calibration, pictures),
+        frames=frames,
+        lead=min(frames, key=lambda frame: agreement(frame.counts)),
+        decimals=decimals,
         classes=[
-            (each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each]) for each in SHOWN_AS
+            (each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each], _swatch(each))
+            for each in SHOWN_AS
         ],
-        added=[(item, _centre(item), _extent(item)) for item in calibration.update.added],
+        changes=changes(calibration),
+        supporting=FOR,
+        contradicting=AGAINST,
+        objects=objects(calibration),
+        alpha=calibration.job.alpha,
+        chance=chance_words(calibration.job.alpha),
         settings=settings(calibration.job),
         most_pictures=MOST_PICTURES,
     )
@@ -107,7 +126,7 @@ def _sections(calibration: Calibration, pictures: Sequence[FramePictures]) -> li
             name=comparison.name,
             counts=counts[index],
             agreement=f"{100.0 * agreement(counts[index]):.1f} %",
-            sigma=_sigma_words(calibration, index),
+            sigma=sigma_words(pose_sigma(calibration, index)),
             hybrid=_embedded(pictures[index].hybrid) if index in shown else "",
             comparison=_embedded(pictures[index].comparison) if index in shown else "",
         )
@@ -115,27 +134,17 @@ def _sections(calibration: Calibration, pictures: Sequence[FramePictures]) -> li
     ]
 
 
-def _sigma_words(calibration: Calibration, index: int) -> str:
-    """How sure the pose of a frame is: the root of the summed variances."""
-    variances = calibration.estimate.pose_covariances[index].diagonal().clamp(min=0.0)
-    metres, radians = (float(part.sum().sqrt()) for part in (variances[:3], variances[3:]))
-    return f"{1000.0 * metres:.2f} mm, {1000.0 * radians:.2f} mrad"
-
-
 def _embedded(picture: Image.Image) -> str:
     """A picture as a data URI of sensible size."""
     reduced = picture.copy()
     reduced.thumbnail((WIDEST_PICTURE, 4 * WIDEST_PICTURE))
     buffer = io.BytesIO()
-    reduced.save(buffer, format="JPEG", quality=85)
+    reduced.save(buffer, format="JPEG", quality=85, subsampling=0)  # thin lines keep their colours
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _centre(item: AddedObject) -> str:
-    """The middle of an added object in world axes."""
-    return ", ".join(f"{value:.3f}" for value in item.mesh.bounds.mean(axis=0))
-
-
-def _extent(item: AddedObject) -> str:
-    """The sides of an added object along the world's axes."""
-    return " × ".join(f"{value:.3f}" for value in item.mesh.extents)
+def _swatch(member: PixelClass) -> str:
+    """What the hybrid view makes of a class, as a data URI."""
+    buffer = io.BytesIO()
+    Image.fromarray(hybrid_swatch(member)).save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -192,6 +192,16 @@ def distance_words(one: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> st
     return f"{moved:.1f} mm and {turned:.2f}° away"
 
 
+def axis_unit(name: str, job: Job) -> str:
+    """The unit of a parameter by its name, a key of ``SHOWN_UNITS``."""
+    block, _, rest = name.partition(".")
+    if block == "joints" and job.robot is not None:
+        return job.robot.joint_unit(rest)
+    if name == "range.scale":
+        return "1"
+    return "rad" if rest.rpartition(".")[2] in AXES[3:] else "m"
+
+
 def next_view_words(view: NextView | None) -> str:
     """Where to look next, as a job file has it (rad, m); empty where nobody knows."""
     if view is None:
@@ -220,17 +230,27 @@ def settings(job: Job) -> dict[str, str]:
     rows["Prior of the base"] = _prior_words(job.base)
     rows["Prior of the mount"] = _prior_words(job.mount)
     if job.joints:
-        rows["Unknown joints"] = ", ".join(job.joints)
-    if job.objects:
-        rows["Unknown objects"] = ", ".join(job.objects)
+        rows["Priors of the joints"] = _joint_priors(job)
+    for name, prior in job.objects.items():
+        rows[f"Prior of the object {name}"] = _prior_words(prior)
     if job.range is not None:
         rows["Prior of the sensor's range"] = (
             f"{MILLI * job.range.offset_sigma:g} mm, {100.0 * job.range.scale_sigma:g} %"
         )
     if job.frame_poses is not None:
         rows["Prior of each frame's pose"] = _prior_words(job.frame_poses)
+    rows["Search starts"] = "at the nominal pose" if job.initial == "nominal" else "anywhere"
     rows["Alpha"] = f"{job.alpha:g} standard deviations (eq. 5)"
     return rows
+
+
+def _joint_priors(job: Job) -> str:
+    """One standard deviation of every joint's zero position."""
+    words = []
+    for name, sigma in job.joints.items():
+        scale, unit = SHOWN_UNITS[axis_unit(f"joints.{name}", job)]
+        words.append(f"{name} {scale * sigma:.4g}{'' if unit == '°' else ' '}{unit}")
+    return ", ".join(words)
 
 
 def _sensor_settings(sensor: Sensor) -> dict[str, str]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torchcal.errors import JobError
 from torchcal.geometry import se3
-from torchcal.model.meshes import face_colours, merged, painted, read_scene, transformed, triangles
+from torchcal.model.meshes import merged, painted, read_scene, transformed, triangles
 from torchcal.model.urdf_tree import Link, Origin, Shape
 
 MESH_FORMATS = (".dae", ".obj", ".stl")
@@ -79,9 +79,9 @@ def _shape_mesh(urdf: Path, shape: Shape) -> trimesh.Trimesh:
     makers = {"box": _box, "cylinder": _cylinder, "sphere": _sphere}
     make = makers.get(shape.kind)
     mesh = _mesh_file(urdf, shape) if make is None else make(shape)
-    given = shape.colour
-    colours = face_colours(mesh) if given is None else np.round(255 * np.clip(given, 0, 1))
-    return transformed(painted(mesh, colours.astype(np.uint8)), _placement(shape))
+    if shape.colour is not None:
+        mesh = painted(mesh, np.round(255 * np.clip(shape.colour, 0, 1)).astype(np.uint8))
+    return transformed(mesh, _placement(shape))
 
 
 def _placement(shape: Shape) -> NDArray[np.float64]:

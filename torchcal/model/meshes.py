@@ -11,18 +11,21 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from PIL.Image import Image
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.color import to_rgba, uv_to_color
-from trimesh.visual.material import Material, PBRMaterial, SimpleMaterial
 
 from torchcal.errors import JobError
-
-NEUTRAL_GREY = (178, 178, 178, 255)
-"""RGBA of a surface that says nothing of its colour."""
+from torchcal.model.paint import (
+    KEPT,
+    NEUTRAL_GREY,
+    base_colour,
+    joined,
+    material_image,
+    paint_of,
+)
 
 WELD_TOLERANCE = 1e-7
 """Vertices closer than this share of the mesh's size are one vertex; STL files hold 24 bits."""
@@ -55,7 +58,7 @@ def triangles(geometry: object) -> trimesh.Trimesh | None:
     """The geometry as a clean mesh of its own; None for points, lines and empty meshes."""
     if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
         return None
-    mesh = geometry.copy()
+    mesh = _copied(geometry)
     mesh.update_faces(sound_faces(mesh))
     mesh.remove_unreferenced_vertices()
     return mesh if len(mesh.faces) else None
@@ -139,7 +142,7 @@ def face_colours(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
 
 
 def _material_colours(faces: NDArray[np.int64], visual: TextureVisuals) -> NDArray[np.uint8]:
-    colours = _texture_colours(faces, visual) * (_base_colour(visual.material) / 255.0)
+    colours = _texture_colours(faces, visual) * (base_colour(visual.material) / 255.0)
     vertex = visual.vertex_attributes.get("color")
     if vertex is not None and len(vertex) > faces.max():
         colours = colours * (to_rgba(vertex)[faces].mean(1) / 255.0)
@@ -147,25 +150,10 @@ def _material_colours(faces: NDArray[np.int64], visual: TextureVisuals) -> NDArr
 
 
 def _texture_colours(faces: NDArray[np.int64], visual: TextureVisuals) -> NDArray[np.float64]:
-    image, uv = _image(visual.material), visual.uv
+    image, uv = material_image(visual.material), visual.uv
     if image is None or uv is None or len(uv) <= faces.max():
         return np.full((len(faces), 4), 255.0)
     return uv_to_color(np.asarray(uv)[faces].mean(1), image).astype(np.float64)
-
-
-def _image(material: Material) -> Image | None:
-    if isinstance(material, PBRMaterial):
-        return material.baseColorTexture
-    return material.image if isinstance(material, SimpleMaterial) else None
-
-
-def _base_colour(material: Material) -> NDArray[np.float64]:
-    """The factor before the texture; an OBJ's diffuse colour counts only without a texture."""
-    white = np.full(4, 255.0)
-    if isinstance(material, PBRMaterial):
-        factor = material.baseColorFactor
-        return white if factor is None else np.asarray(factor, dtype=np.float64)
-    return white if _image(material) is not None else np.asarray(material.main_color, np.float64)
 
 
 def painted(mesh: trimesh.Trimesh, colours: NDArray[np.uint8]) -> trimesh.Trimesh:
@@ -175,7 +163,7 @@ def painted(mesh: trimesh.Trimesh, colours: NDArray[np.uint8]) -> trimesh.Trimes
 
 
 def merged(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh of several: a single part keeps its texture, several become face colours."""
+    """One mesh of several, with the mean colours of their faces and their whole look as paint."""
     if len(parts) == 1:
         return parts[0]
     counts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
@@ -183,12 +171,23 @@ def merged(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, counts, strict=True)]),
         face_colors=np.concatenate([face_colours(part) for part in parts]),
+        metadata={KEPT: joined([paint_of(part) for part in parts])},
         process=False,
     )
 
 
 def transformed(mesh: trimesh.Trimesh, T: NDArray[np.float64]) -> trimesh.Trimesh:
     """The mesh under any 4x4 matrix; a mirror turns the faces so that they still look outwards."""
-    copy = mesh.copy()
+    copy = _copied(mesh)
     copy.apply_transform(T)
+    if KEPT in copy.metadata and np.linalg.det(T[:3, :3]) < 0:
+        copy.metadata[KEPT] = copy.metadata[KEPT].turned()
+    return copy
+
+
+def _copied(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A copy with the colours of vertices that trimesh leaves behind beside a material."""
+    copy = mesh.copy()
+    if isinstance(mesh.visual, TextureVisuals) and isinstance(copy.visual, TextureVisuals):
+        copy.visual.vertex_attributes.update(dict(mesh.visual.vertex_attributes.items()))
     return copy

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchcal.errors import TorchcalError, choices
 from torchcal.model.meshes import face_colours, weld
+from torchcal.model.paint import Paint, joined, paint_of
 from torchcal.model.robot import Robot
 from torchcal.model.world import World
 
@@ -34,7 +35,7 @@ class Surface:
     vertex_body: Int[Tensor, " vertex"]
     faces: Int[Tensor, "face 3"]
     face_colour: Float[Tensor, "face 3"]
-    """RGB, 0 to 1."""
+    """RGB, 0 to 1: the mean of what ``Scene.paint`` says."""
     edges: Int[Tensor, "edge 2"]
     """Vertices of every edge."""
     edge_faces: Int[Tensor, "edge 2"]
@@ -47,6 +48,8 @@ class Scene:
 
     bodies: tuple[Body, ...]
     surface: Surface
+    paint: Paint
+    """How the faces of the surface look."""
 
     def body_index(self, name: str) -> int:
         """The place of a body in ``bodies``.
@@ -67,6 +70,7 @@ class _Welded:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     colours: NDArray[np.float64]
+    paint: Paint
 
 
 def build_scene(
@@ -103,7 +107,8 @@ def build_scene(
         edges=torch.as_tensor(edges, **index),
         edge_faces=torch.as_tensor(edge_faces, **index),
     )
-    return Scene(bodies=bodies, surface=surface)
+    paint = joined([part.paint for part in welded]).to(device)
+    return Scene(bodies=bodies, surface=surface, paint=paint)
 
 
 def body_poses(
@@ -176,8 +181,12 @@ def _welded(mesh: trimesh.Trimesh) -> _Welded:
     _, first = np.unique(ids, return_index=True)
     faces = ids[mesh.faces]
     whole = (faces != np.roll(faces, 1, axis=1)).all(1)
-    colours = face_colours(mesh)[whole, :3] / 255.0
-    return _Welded(vertices=mesh.vertices[first], faces=faces[whole], colours=colours)
+    return _Welded(
+        vertices=mesh.vertices[first],
+        faces=faces[whole],
+        colours=face_colours(mesh)[whole, :3] / 255.0,
+        paint=paint_of(mesh).of(torch.as_tensor(whole)),
+    )
 
 
 def edge_tables(

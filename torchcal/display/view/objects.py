@@ -6,27 +6,26 @@ import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float
-from matplotlib.colors import to_rgb
 from torch import Tensor
 from trimesh.visual import TextureVisuals
 
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.result import AddedObject, Change, PixelClass
-from torchcal.display.colours import CLASS_COLOURS
+from torchcal.display.colours import CLASS_COLOURS, as_bytes
 from torchcal.model.meshes import face_colours, painted
 from torchcal.model.world import WorldObject, for_gltf
 
 RGB = tuple[int, int, int]
 
 
-def _bytes(colour: str) -> RGB:
-    red, green, blue = (round(255.0 * part) for part in to_rgb(colour))
+def _paint(member: PixelClass) -> RGB:
+    red, green, blue = as_bytes(CLASS_COLOURS[member]).tolist()
     return red, green, blue
 
 
-GONE = _bytes(CLASS_COLOURS[PixelClass.FARTHER])
+GONE = _paint(PixelClass.FARTHER)
 """Seen through, like the pixels that say so."""
-NEW = _bytes(CLASS_COLOURS[PixelClass.UNMODELLED])
+NEW = _paint(PixelClass.UNMODELLED)
 """Measured and not in the model."""
 GHOST = 0.45
 """Opacity of what a proposal takes away."""

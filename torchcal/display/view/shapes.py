@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.display.arrays import as_array
-from torchcal.display.colours import class_image, range_colours, range_limits
+from torchcal.display.colours import class_image, range_image, range_limits
 from torchcal.geometry.projection import Projection, pixel_grid
 
 MOST_POINTS = 60_000
@@ -57,8 +57,7 @@ def class_points(comparison: FrameComparison, projection: Projection) -> Points:
 def range_points(comparison: FrameComparison, projection: Projection) -> Points:
     """Every measured pixel by its range, whatever the model says: the raw measurement."""
     ranges = as_array(comparison.measured)
-    colours = range_colours(ranges, range_limits(ranges))
-    colours = np.round(255.0 * colours).astype(np.uint8)
+    colours = range_image(ranges, range_limits(ranges))
     return _points(ranges, np.isfinite(ranges), colours, projection)
 
 
