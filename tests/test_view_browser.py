@@ -33,6 +33,8 @@ FLAGS = [
 ]
 PATIENCE = 120.0
 """Seconds: a browser without a GPU, on a machine that does other things."""
+SCENE = (790, 450)
+"""Pixels of the window: the middle of the scene, between the panels."""
 
 pytestmark = pytest.mark.slow
 
@@ -151,13 +153,12 @@ def test_a_person_sees_changes_and_decides_in_a_browser(folder, view, page):
 
 
 def test_a_click_asks_about_an_object_and_decisions_of_others_are_seen(folder, view, page):
-    canvas = page.locator("canvas").first
     first = read_result(folder).comparisons[0]
     assert shows(page, hybrid_picture(reclassified(first, 3.0)))
     assert view.settings.selected == "crate"
 
     def clicked() -> bool:
-        canvas.click()
+        page.mouse.click(*SCENE)
         return comes_soon(lambda: view.settings.selected == "wall")
 
     assert comes(clicked)
