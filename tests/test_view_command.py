@@ -1,6 +1,7 @@
 """``torchcal view``: what a person asked to see, and what is missing for it."""
 
 import importlib.util
+import shutil
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,15 @@ def test_a_folder_is_shown_and_decided_as_update_does(folder):
     assert read_result(folder).transaction.decisions == decided.transaction.decisions
     with pytest.raises(TorchcalError, match="no proposal 'drum'"):
         source.decide(accept=["drum"], reject=())
+
+
+def test_another_result_in_the_folder_is_not_mixed_with_the_one_that_is_shown(folder):
+    source = source_of(folder)
+    result = source.latest(None)
+    shutil.rmtree(folder)
+    write_results(calibration(), folder)
+    with pytest.raises(TorchcalError, match="start torchcal view anew"):
+        source.latest(result)
 
 
 def test_a_job_is_compared_at_its_nominal_pose_and_nothing_can_be_decided(monkeypatch, tmp_path):

@@ -74,7 +74,7 @@ class View:
         """Shows the source as it is now; where it cannot be read the old state stays."""
         try:
             latest = self._source.latest(self._result)
-        except TorchcalError as error:
+        except (TorchcalError, OSError) as error:
             self._panel.complain(str(error))
             return
         if latest is self._result:

@@ -74,7 +74,10 @@ class FollowSource:
         if not whole:
             return False
         self.read += len(whole) + 1
-        self.lines += [json.loads(line) for line in whole.splitlines()]
+        try:
+            self.lines += [json.loads(line) for line in whole.splitlines()]
+        except ValueError as error:
+            raise TorchcalError(f"{path}: found a line that is no JSON ({error})") from error
         return True
 
     def _result(self) -> Result:

@@ -9,6 +9,9 @@ from torchcal.calibrate.kept_result import Result
 from torchcal.calibrate.result_folder import NEW_WORLD, decide, read_result, read_transaction
 from torchcal.errors import TorchcalError
 
+Stamp = tuple[int, int]
+"""When a file was written, and which one it is."""
+
 
 @runtime_checkable
 class Source(Protocol):
@@ -41,8 +44,10 @@ class FolderSource:
     """
 
     folder: Path
-    seen: tuple[int, int] | None = None
-    """When ``world.glb`` was written last, and which file it is."""
+    result: Stamp | None = None
+    """Of the ``result.json`` that is shown."""
+    world: Stamp | None = None
+    """Of the ``world.glb`` that is shown."""
 
     @property
     def can_decide(self) -> bool:
@@ -50,18 +55,22 @@ class FolderSource:
         return True
 
     def latest(self, shown: Result | None) -> Result:
-        """Reads the folder, or of it what has changed.
+        """Reads the folder, later what was decided since.
 
         Raises:
-            TorchcalError: As ``read_result``.
+            TorchcalError: As ``read_result``; or if another result has taken the folder's place.
         """
-        stamp = _stamp(self.folder / NEW_WORLD)
-        if shown is not None and stamp == self.seen:
-            return shown
-        self.seen = stamp
+        result, world = _stamp(self.folder / "result.json"), _stamp(self.folder / NEW_WORLD)
         if shown is None:
-            return read_result(self.folder)
-        return replace(shown, transaction=read_transaction(self.folder))
+            read = read_result(self.folder)
+        elif result != self.result:
+            raise TorchcalError(f"{self.folder}: found another result; start torchcal view anew")
+        elif world == self.world:
+            return shown
+        else:
+            read = replace(shown, transaction=read_transaction(self.folder))
+        self.result, self.world = result, world
+        return read
 
     def decide(self, *, accept: Collection[str], reject: Collection[str]) -> None:
         """As ``torchcal.decide``.
@@ -101,7 +110,7 @@ class KeptSource:
         raise TorchcalError("found a job; expected the folder of a calibration to decide about it")
 
 
-def _stamp(file: Path) -> tuple[int, int] | None:
+def _stamp(file: Path) -> Stamp | None:
     try:
         stat = file.stat()
     except OSError:
