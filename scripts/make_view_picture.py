@@ -20,7 +20,7 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
 )
-SIZE = {"width": 1500, "height": 900}
+WIDTH, HEIGHT = 1500, 900
 """Pixels of the browser's window."""
 
 
@@ -47,7 +47,7 @@ def screenshot(address: str, args: Args) -> Image.Image:
         raise TorchcalError("found no program chromium; expected one to take the picture with")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
-        page = browser.new_page(viewport=SIZE)
+        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         page.set_default_timeout(300_000.0)
         page.goto(address)
         page.get_by_role("button", name="Accept").wait_for()

@@ -162,10 +162,12 @@ def test_mistyped_commands_end_with_two(arguments, capsys):
     assert ending.value.code == 2
 
 
-@pytest.mark.parametrize("arguments", [[], ["calibrate"], ["render"], ["check"], ["demo"]])
-def test_help_ends_with_zero(arguments, capsys):
+@pytest.mark.parametrize(
+    "command", ["", "calibrate", "follow", "render", "check", "view", "update"]
+)
+def test_help_ends_with_zero(command, capsys):
     with pytest.raises(SystemExit) as ending:
-        main([*arguments, "--help"])
+        main([*command.split(), "--help"])
     assert ending.value.code == 0
     assert "usage: torchcal" in capsys.readouterr().out
 
