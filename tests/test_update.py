@@ -260,6 +260,15 @@ def test_alpha_of_the_job_widens_what_counts_as_agreement():
     )
 
 
+def test_added_objects_never_take_the_name_of_one_of_the_world():
+    taken = (replace(BODIES[0], name="added_1"), *BODIES[1:])
+    frame = noisy(scene(2.9, beam=21), scene())
+    proposed = propose_update(
+        job(NOISY, world()), [frame], taken, EYE[None], correlation_pixels=0.0, moved={}
+    )
+    assert [item.name for item in proposed.added] == ["added_1-2"]
+
+
 def test_proposals_are_the_changes_with_their_evidence():
     verdicts = {
         name: ObjectVerdict(verdict=verdict, agree=5, seen_through=90, hidden=3)

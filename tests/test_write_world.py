@@ -11,9 +11,11 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 from world_files import coloured_box, load, pose_of, saved, world_vertices
 
+from torchcal.errors import JobError
 from torchcal.model.meshes import face_colours, painted
-from torchcal.model.world import World, WorldObject, write_world
+from torchcal.model.world import World, WorldObject, read_extras, write_world
 
+EYE = (0.0,) * 6
 ATOL_FILE = 1e-6  # GLB holds coordinates of about 1 m in single precision
 
 
@@ -73,6 +75,44 @@ def test_writing_gives_names_poses_geometry_and_colours_back(tmp_path: Path):
 
 
 def test_only_glb_is_written(tmp_path: Path):
-    with pytest.raises(ValueError, match=r"expected some for a \.glb"):
+    with pytest.raises(ValueError, match=r"expected a name that ends in \.glb"):
+        write_world(World(objects=()), tmp_path / "a.obj")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_world_of_nothing_is_a_file_that_says_so(tmp_path: Path):
+    write_world(World(objects=()), tmp_path / "a.glb", {"why": ["all of it is gone"]})
+    assert read_extras(tmp_path / "a.glb") == {"why": ["all of it is gone"]}
+    with pytest.raises(JobError, match="no triangles"):
+        load(tmp_path / "a.glb")
+
+
+def test_what_a_file_says_of_an_object_is_read_and_written_again(tmp_path: Path):
+    said = {"torchcal": [{"change": "add", "evidence": {"supporting": 3}}]}
+    mesh, T = trimesh.creation.box((1, 1, 1)), pose_of(1, 2, 3, 0, 0, 0)
+    world = World(
+        objects=(
+            WorldObject(name="new", mesh=mesh, T_world_object=T, extras=said),
+            WorldObject(name="old", mesh=mesh, T_world_object=T),
+        )
+    )
+    for again in (rewritten(world, tmp_path), rewritten(rewritten(world, tmp_path), tmp_path)):
+        assert {item.name: item.extras for item in again.objects} == {"new": said, "old": {}}
+
+
+def test_a_file_is_whole_or_the_old_one(tmp_path: Path, monkeypatch):
+    before = World(
+        objects=(WorldObject(name="a", mesh=coloured_box((1, 2, 3)), T_world_object=pose_of(*EYE)),)
+    )
+    write_world(before, tmp_path / "a.glb")
+    old = (tmp_path / "a.glb").read_bytes()
+
+    def half(self: Path, data: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(data[: len(data) // 2])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(KeyboardInterrupt):
         write_world(World(objects=()), tmp_path / "a.glb")
-    assert not (tmp_path / "a.glb").exists()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.glb": old}

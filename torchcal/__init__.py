@@ -8,6 +8,7 @@ Every command is a call or two of what stands here::
     torchcal check        read_job, check
     torchcal batch        as calibrate, for many jobs
     torchcal import       import_recording
+    torchcal update       read_result, decide
     torchcal demo         make_demo, then as calibrate
 """
 
@@ -20,11 +21,16 @@ from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
 from torchcal.calibrate.check import foresee as foresee
 from torchcal.calibrate.compare import reclassified as reclassified
+from torchcal.calibrate.decisions import Decision as Decision
+from torchcal.calibrate.decisions import Transaction as Transaction
 from torchcal.calibrate.element_pose import find_element_poses as find_element_poses
 from torchcal.calibrate.element_result import ElementPoses as ElementPoses
 from torchcal.calibrate.element_result import ElementStatus as ElementStatus
 from torchcal.calibrate.element_search import ElementSearch as ElementSearch
 from torchcal.calibrate.follow import follow as follow
+from torchcal.calibrate.kept_result import FramePlace as FramePlace
+from torchcal.calibrate.kept_result import Result as Result
+from torchcal.calibrate.kept_result import kept as kept
 from torchcal.calibrate.localisation import Localisation as Localisation
 from torchcal.calibrate.localisation import Matches as Matches
 from torchcal.calibrate.localisation import Rival as Rival
@@ -45,6 +51,8 @@ from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Proposal as Proposal
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update
+from torchcal.calibrate.result_folder import decide as decide
+from torchcal.calibrate.result_folder import read_result as read_result
 from torchcal.calibrate.site import Site as Site
 from torchcal.calibrate.tracked import Tracked as Tracked
 from torchcal.calibrate.tracked import TrackStatus as TrackStatus

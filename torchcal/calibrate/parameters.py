@@ -6,7 +6,7 @@ T_k = T_1 exp(xi) T_1^-1 T_k falls out of the same product.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 from torchcal.calibrate.mechanism import Mechanism, Placed, centre_of
 from torchcal.calibrate.slots import BASE, MOUNT, Slots
 from torchcal.geometry import se3
-from torchcal.model.job import Job, PosePrior
+from torchcal.model.job import Frame, Job, PosePrior
 from torchcal.model.scene import Scene
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -80,6 +80,17 @@ class Parameters:
         state = self.nominal.expand(*Ts_world_base.shape[:-2], *self.nominal.shape).clone()
         state[..., BASE, :, :] = Ts_world_base
         return state
+
+    def at(self, frame: Frame) -> "Parameters":
+        """The same of another frame, which takes the place of the only one."""
+        mechanism = self.mechanism
+        if frame.joints is not None:
+            mechanism = replace(mechanism, joints=frame.joints.to(mechanism.joints)[None])
+        if frame.T_world_sensor is not None:
+            T_first = self.nominal[BASE]
+            T = se3.inverse(T_first) @ frame.T_world_sensor.to(T_first)
+            mechanism = replace(mechanism, Ts_first_frame=T[None])
+        return replace(self, mechanism=mechanism)
 
     def sensor_poses(
         self, state: Float[Tensor, "*batch slot 4 4"]

@@ -31,6 +31,7 @@ from torchcal.calibrate.result import (
 from torchcal.model.job import Job
 from torchcal.model.scene import Body
 from torchcal.model.sensor import Sensor
+from torchcal.model.unique_names import unique_names
 from torchcal.model.world import World
 
 SEEN_THROUGH_SHARE = 0.6
@@ -118,7 +119,9 @@ def added_objects(
         for mask in new_surfaces(frame, found, job.world)
         if (patch := _patch(frame, mask, job.sensor, T)) is not None
     ]
-    return borne_out(merged_objects(patches), job, comparisons, Ts_world_sensor)
+    found = borne_out(merged_objects(patches), job, comparisons, Ts_world_sensor)
+    taken = () if job.world is None else tuple(item.name for item in job.world.objects)
+    return _renamed(found, taken)
 
 
 def object_verdict(
@@ -180,6 +183,12 @@ def _moved(verdict: ObjectVerdict, T_world_object: Tensor | None) -> ObjectVerdi
     if T_world_object is None or verdict.verdict != "agrees":
         return verdict
     return replace(verdict, verdict="moved", T_world_object=T_world_object)
+
+
+def _renamed(added: Sequence[AddedObject], taken: Sequence[str]) -> tuple[AddedObject, ...]:
+    """The added objects under names that no object of the world has."""
+    names = unique_names([*taken, *(item.name for item in added)])[len(taken) :]
+    return tuple(replace(item, name=name) for item, name in zip(added, names, strict=True))
 
 
 def _union(regions: Sequence[Region], kind: RegionKind, like: Tensor) -> Bool[Tensor, "h w"]:

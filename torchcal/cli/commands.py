@@ -16,7 +16,6 @@ from torchcal.cli.result_files import (
     as_json,
     check_dict,
     result_dict,
-    unique_names,
     write_results,
 )
 from torchcal.cli.tables import calibration_view, check_view
@@ -25,6 +24,7 @@ from torchcal.display import canvas, figures
 from torchcal.errors import TorchcalError
 from torchcal.model.job import Job
 from torchcal.model.read_job import read_job
+from torchcal.model.unique_names import unique_names
 
 USABLE = 0
 NOT_USABLE = 3
@@ -57,7 +57,7 @@ def run_render(command: Render, out: Console, err: Console) -> int:
                 report("render", done / len(names))
     if command.options.json:
         files = [{"depth": f"depth/{name}.npy", "preview": f"preview/{name}.png"} for name in names]
-        _print_json({"frames": files}, out)
+        print_json({"frames": files}, out)
     else:
         line(out, f"{len(names)} predicted range images (m) are in {command.out / 'depth'}")
         line(out, f"Pictures of them are in {command.out / 'preview'}")
@@ -71,7 +71,7 @@ def run_check(command: Check, out: Console, err: Console) -> int:
         found = check(_read(command.job, command.options))
         report("check", 1.0)
     if command.options.json:
-        _print_json(check_dict(found), out)
+        print_json(check_dict(found), out)
     else:
         out.print(check_view(found))
     return USABLE
@@ -126,7 +126,7 @@ def _write_prediction(folder: Path, name: str, ranges: torch.Tensor) -> None:
 def _tell(calibration: Calibration, options: Options, folder: Path, out: Console) -> None:
     """The answer on standard output."""
     if options.json:
-        _print_json(result_dict(calibration), out)
+        print_json(result_dict(calibration), out)
         return
     out.print(calibration_view(calibration))
     line(out, f"Open {folder / 'report.html'}")
@@ -137,6 +137,6 @@ def line(out: Console, words: str) -> None:
     out.print(words, markup=False, highlight=False, soft_wrap=True)
 
 
-def _print_json(data: dict, out: Console) -> None:
+def print_json(data: dict, out: Console) -> None:
     """Exactly the JSON, without colours or line breaks of our own."""
     out.file.write(as_json(data) + "\n")

@@ -35,6 +35,7 @@ def run_follow(command: Follow, out: Console, err: Console) -> int:
                 taken.append(tracked)
                 text = json.dumps(frame_dict(tracked), allow_nan=False, ensure_ascii=False) + "\n"
                 file.write(text)
+                file.flush()
                 if command.options.json:
                     out.file.write(text)
                     out.file.flush()
@@ -88,6 +89,7 @@ def frame_dict(tracked: Tracked) -> dict[str, Any]:
                 name: {"value": value, "sigma": sigma} for name, value, sigma in corrections
             },
             "seconds": tracked.seconds,
+            "covariance": tracked.covariance.tolist(),
         }
     )
 

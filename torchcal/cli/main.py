@@ -22,8 +22,12 @@ from torchcal.cli.options import (
     Follow,
     Import,
     Render,
+    Update,
+    View,
     parse,
 )
+from torchcal.cli.update import run_update
+from torchcal.cli.view import run_view
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -58,5 +62,7 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
         Check: commands.run_check,
         Batch: run_batch,
         Import: run_import,
+        View: run_view,
+        Update: run_update,
         Demo: commands.run_demo,
     }[type(command)]

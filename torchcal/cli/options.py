@@ -10,6 +10,10 @@ from torchcal.fleet.table import RobotBy
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 JobFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="JOB")]
+ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+Names = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="(default: none)")
+]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -118,6 +122,23 @@ class Batch:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class View:
+    """Show a calibration, or a job before it, in a browser."""
+
+    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|JOB")]
+    """What torchcal calibrate wrote, or a job: it is shown at the nominal pose."""
+    follow: Annotated[
+        Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: none)")
+    ] = None
+    """Follow the torchcal follow of this JOB that writes, or wrote, into DIR."""
+    host: str = "127.0.0.1"
+    """The address to listen on; 0.0.0.0 is every network that this machine is in."""
+    port: int = 8080
+    """The port to listen on; the next free one if it is taken."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Import:
     """Make a job of a bag of ROS 1 or ROS 2, an MCAP file, depth images or point clouds."""
 
@@ -151,6 +172,19 @@ class Import:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Update:
+    """List the proposed changes of the model; accept or reject them."""
+
+    result: ResultFolder
+    """What torchcal calibrate wrote."""
+    accept: Names = ()
+    """Changes that stay in DIR/world.glb; all: every one that is not named."""
+    reject: Names = ()
+    """Changes that are taken back; all: every one that is not named."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Demo:
     """Make a robot, a cell and a recording, calibrate it, compare with the truth."""
 
@@ -159,7 +193,7 @@ class Demo:
     options: Shared = Options()
 
 
-Command = Calibrate | Follow | Render | Check | Batch | Import | Demo
+Command = Calibrate | Follow | Render | Check | Batch | Import | View | Update | Demo
 
 COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
@@ -168,6 +202,8 @@ COMMANDS: dict[str, type] = {
     "check": Check,
     "batch": Batch,
     "import": Import,
+    "view": View,
+    "update": Update,
     "demo": Demo,
 }
 

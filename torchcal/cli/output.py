@@ -1,6 +1,7 @@
 """Writing a folder as a whole or not at all."""
 
 import ctypes
+import glob
 import os
 import re
 import secrets
@@ -16,7 +17,8 @@ MARKERS = ("result.json", "preview")
 """What every folder that torchcal wrote holds, here or in ``result`` (the demo)."""
 
 WRITTEN = ("result.json", "frames.jsonl", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
-WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png", "batch.json")
+WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png", "batch.json", "frames/*.npz")
+WRITTEN += ("model/*.glb", "model/record.json", ".world.partial-*.glb")
 """Files that torchcal writes."""
 
 WRITTEN_FOLDERS = ("meshes", "job")
@@ -89,6 +91,14 @@ def foreign_file(folder: Path) -> Path | None:
         if not marked or not _is_ours(file.relative_to(folder)):
             return file
     return None
+
+
+def newest(folder: Path, name: str) -> Path | None:
+    """A file of a folder, or of the one that is being written to take its place."""
+    target = folder.resolve()
+    folders = (target, *target.parent.glob(f".{glob.escape(target.name)}.partial-*"))
+    files = [each / name for each in folders if (each / name).is_file()]
+    return max(files, key=lambda file: file.stat().st_mtime_ns, default=None)
 
 
 def _is_ours(path: PurePath) -> bool:

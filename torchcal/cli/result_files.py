@@ -3,13 +3,13 @@
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
+from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import (
     AddedObject,
     Calibration,
@@ -20,12 +20,13 @@ from torchcal.calibrate.result import (
     PixelClass,
     UnobservableDirection,
 )
+from torchcal.calibrate.result_folder import write_kept
 from torchcal.display import canvas, figures
 from torchcal.display.report import FramePictures, report
 from torchcal.display.summary import axis_sigmas
 from torchcal.model.job import Job
+from torchcal.model.unique_names import unique_names
 from torchcal.model.urdf import write_urdf
-from torchcal.model.world import World, WorldObject, write_world
 
 
 def result_dict(calibration: Calibration) -> dict[str, Any]:
@@ -87,43 +88,10 @@ def write_results(calibration: Calibration, folder: Path | str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     pictures = list(_write_pictures(calibration, folder))
     _write_robot(calibration, folder)
-    _write_world(calibration, folder)
+    write_kept(kept(calibration), folder)
     (folder / "report.html").write_text(report(calibration, pictures), encoding="utf-8")
     text = as_json(result_dict(calibration))
     (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-
-
-def unique_names(names: Sequence[str]) -> list[str]:
-    """The names, with a number after each that came before (letter case does not count)."""
-    taken: set[str] = set()
-    unique = []
-    for name in names:
-        candidate, count = name, 1
-        while candidate.casefold() in taken:
-            count += 1
-            candidate = f"{name}-{count}"
-        taken.add(candidate.casefold())
-        unique.append(candidate)
-    return unique
-
-
-def corrected_world(calibration: Calibration) -> World | None:
-    """The objects that were not removed and those that were added; None if that leaves nothing."""
-    old, update = calibration.job.world, calibration.update
-    gone = {name for name, verdict in update.verdicts.items() if verdict.verdict == "removed"}
-    kept = [item for item in (old.objects if old else ()) if item.name not in gone]
-    names = unique_names([*(item.name for item in kept), *(item.name for item in update.added)])
-    eye = torch.eye(4, dtype=torch.float64)
-    known = calibration.Ts_world_object
-    kept = [
-        replace(item, T_world_object=known.get(item.name, item.T_world_object)) for item in kept
-    ]
-    added = [
-        WorldObject(name=name, mesh=item.mesh, T_world_object=eye)
-        for name, item in zip(names[len(kept) :], update.added, strict=True)
-    ]
-    objects = (*kept, *added)
-    return World(objects=objects, complete=old is not None and old.complete) if objects else None
 
 
 def _parameters(calibration: Calibration) -> dict[str, Any]:
@@ -249,9 +217,3 @@ def _write_robot(calibration: Calibration, folder: Path) -> None:
             T_link_sensor=estimate.T_link_sensor,
             joint_offsets=estimate.joint_offsets,
         )
-
-
-def _write_world(calibration: Calibration, folder: Path) -> None:
-    world = corrected_world(calibration)
-    if world is not None:
-        write_world(world, folder / "world.glb")

@@ -86,7 +86,7 @@ def build_scene(
         TorchcalError: If there is nothing to see, or a mesh has no faces, or faces of vertices that
             are not finite or not there.
     """
-    bodies, meshes = _bodies(world, robot)
+    bodies, meshes = bodies_of(world, robot), _meshes(world, robot)
     if not meshes:
         raise TorchcalError(
             "found a model without triangles; expected a world or a robot with some"
@@ -160,17 +160,24 @@ def body_poses(
     return torch.cat(parts, -3)
 
 
-def _bodies(
-    world: World | None, robot: Robot | None
-) -> tuple[tuple[Body, ...], list[trimesh.Trimesh]]:
+def bodies_of(world: World | None, robot: Robot | None) -> tuple[Body, ...]:
+    """The world's objects and then the robot's links that show something: ``Scene.bodies``."""
     objects = () if world is None else world.objects
-    meshes = {} if robot is None else robot.link_meshes
-    links = () if robot is None else [name for name in robot.link_names if name in meshes]
-    bodies = (
+    return (
         *(Body(name=item.name, link=None) for item in objects),
-        *(Body(name=f"robot/{link}", link=link) for link in links),
+        *(Body(name=f"robot/{link}", link=link) for link in _shown_links(robot)),
     )
-    return bodies, [item.mesh for item in objects] + [meshes[link] for link in links]
+
+
+def _meshes(world: World | None, robot: Robot | None) -> list[trimesh.Trimesh]:
+    """What each of ``bodies_of`` looks like."""
+    meshes = {} if robot is None else robot.link_meshes
+    objects = () if world is None else world.objects
+    return [item.mesh for item in objects] + [meshes[link] for link in _shown_links(robot)]
+
+
+def _shown_links(robot: Robot | None) -> list[str]:
+    return [] if robot is None else [name for name in robot.link_names if name in robot.link_meshes]
 
 
 def _check_mesh(name: str, mesh: trimesh.Trimesh) -> None:

@@ -1,9 +1,11 @@
 """The CAD model of the surroundings: named objects with poses, read from and written to files."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+import secrets
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,6 +39,8 @@ class WorldObject:
     mesh: trimesh.Trimesh
     """In the object's own frame, metres."""
     T_world_object: Float[Tensor, "4 4"]
+    extras: Mapping[str, Any] = field(default_factory=dict)
+    """What a GLTF says of the node beside its geometry: plain data."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,6 +61,8 @@ class _Piece:
     T_file_mesh: NDArray[np.float64]
     T_file_object: NDArray[np.float64]
     """The object's node; any matrix, in units of the file."""
+    extras: Mapping[str, Any]
+    """The object's node's."""
 
 
 def load_world(
@@ -92,27 +98,46 @@ def load_world(
     return World(objects=objects, complete=complete)
 
 
-def write_world(world: World, file: Path) -> None:
+def write_world(world: World, file: Path, extras: Mapping[str, Any] | None = None) -> None:
     """Writes GLB that ``load_world`` reads (unit 1, no motion) with the same names and poses.
 
+    Until all of it is written an earlier file stays as it was.
+
+    Args:
+        world: Without objects the scene is empty, and ``load_world`` says so.
+        file: Its ending is ``.glb``.
+        extras: Plain data about the whole scene; ``read_extras`` gives it back.
+
     Raises:
-        ValueError: If the file's ending is another than ``.glb``, or the world is empty.
+        ValueError: If the file's ending is another.
     """
-    if file.suffix.lower() != ".glb" or not world.objects:
-        raise ValueError(f"found {len(world.objects)} objects for {file}; expected some for a .glb")
+    if file.suffix.lower() != ".glb":
+        raise ValueError(f"found {file}; expected a name that ends in .glb")
     longer_than_any_name = "/" + "".join(item.name for item in world.objects)
-    scene = trimesh.Scene(base_frame=longer_than_any_name)
+    scene = trimesh.Scene(base_frame=longer_than_any_name, metadata=dict(extras or {}))
     for item in world.objects:
         scene.add_geometry(
-            _for_gltf(item.mesh),
+            for_gltf(item.mesh),
             node_name=item.name,
             geom_name=item.name,
             transform=item.T_world_object.detach().cpu().double().numpy(),
+            metadata=dict(item.extras),
         )
-    file.write_bytes(export_glb(scene))
+    partial = file.with_name(f".{file.stem}.partial-{secrets.token_hex(4)}.glb")
+    try:
+        partial.write_bytes(export_glb(scene))
+        partial.replace(file)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
-def _for_gltf(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def read_extras(file: Path) -> dict[str, Any]:
+    """What ``write_world`` was told of the whole scene; empty where nothing is said."""
+    scenes = _gltf(file).get("scenes", [])
+    return scenes[0].get("extras", {}) if scenes else {}
+
+
+def for_gltf(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """GLTF knows colours of vertices only: faces of different colours must not share any."""
     if not _has_face_colours(mesh):
         return _with_plain_texture(mesh.copy())
@@ -146,9 +171,13 @@ def _pieces(file: Path) -> Iterator[_Piece]:
         T_file_mesh, geometry = scene.graph[node]
         mesh = triangles(scene.geometry[geometry])
         if mesh is not None and _keeps_areas(T_file_mesh):
-            T_file_object = scene.graph[_owner(scene, node)][0]
+            owner = _owner(scene, node)
             yield _Piece(
-                name=names[node], mesh=mesh, T_file_mesh=T_file_mesh, T_file_object=T_file_object
+                name=names[node],
+                mesh=mesh,
+                T_file_mesh=T_file_mesh,
+                T_file_object=scene.graph[owner][0],
+                extras=_node_extras(scene, owner),
             )
 
 
@@ -162,6 +191,12 @@ def _owner(scene: trimesh.Scene, node: str) -> str:
     geometry = scene.geometry[scene.graph[node][1]]
     parent = scene.graph.transforms.parents.get(node)
     return parent if parent and geometry.metadata.get("from_gltf_primitive") else node
+
+
+def _node_extras(scene: trimesh.Scene, node: str) -> Mapping[str, Any]:
+    """What the file says of a node."""
+    tree = scene.graph.transforms
+    return tree.edge_data.get((tree.parents.get(node), node), {}).get("metadata") or {}
 
 
 def _object_names(file: Path, scene: trimesh.Scene) -> dict[str, str]:
@@ -180,11 +215,16 @@ def _renamed_nodes(file: Path) -> dict[str, str]:
     """Names of a GLTF's nodes that trimesh changes: its own root is ``world``."""
     if file.suffix.lower() not in (".glb", ".gltf"):
         return {}
+    names = {node.get("name") for node in _gltf(file).get("nodes", [])}
+    return {"world_1": "world"} if "world" in names and "world_1" not in names else {}
+
+
+def _gltf(file: Path) -> dict[str, Any]:
+    """The JSON of a GLB or GLTF."""
     data = file.read_bytes()
     if data.startswith(b"glTF"):
         data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-    names = {node.get("name") for node in json.loads(data).get("nodes", [])}
-    return {"world_1": "world"} if "world" in names and "world_1" not in names else {}
+    return json.loads(data)
 
 
 def _obj_objects(file: Path) -> set[str]:
@@ -225,7 +265,12 @@ def _object(
     ]
     T_file_object[:3, 3] *= unit
     pose = torch.as_tensor(T_file_object, dtype=T_world_file.dtype, device=T_world_file.device)
-    return WorldObject(name=name, mesh=merged(meshes), T_world_object=T_world_file @ pose)
+    return WorldObject(
+        name=name,
+        mesh=merged(meshes),
+        T_world_object=T_world_file @ pose,
+        extras=pieces[0].extras,
+    )
 
 
 def _tidy(T: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,106 @@
+"""Frames that ``follow`` has passed, looked at once more from what it wrote about them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchcal.calibrate.compare import compare
+from torchcal.calibrate.estimate import nominal_belief
+from torchcal.calibrate.kept_result import FramePlace
+from torchcal.calibrate.live_frame import only_frame, usable_frame
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.result import FrameComparison
+from torchcal.errors import JobError, TorchcalError
+from torchcal.geometry import gaussian
+from torchcal.model.job import Frame, Job
+from torchcal.model.read_job import Recording
+from torchcal.model.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Passed:
+    """What was believed after one frame."""
+
+    index: int
+    """Of the frame in its recording."""
+    state: Float[Tensor, "slot 4 4"]
+    covariance: Float[Tensor, "parameter parameter"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Followed:
+    """A recording that is being followed by another program."""
+
+    recording: Recording
+    job: Job
+    """Of one frame that is not there yet, as a tracker begins with it."""
+    scene: Scene
+    parameters: Parameters
+    """Of that frame."""
+
+    @staticmethod
+    def of(recording: Recording) -> "Followed":
+        """A recording before its first frame.
+
+        Raises:
+            TorchcalError: If its start is to be sought anywhere: its nominal pose says nothing.
+        """
+        job = recording.job
+        if job.initial != "nominal":
+            found = f"{job.file}: found search.initial = {job.initial!r}"
+            raise TorchcalError(f"{found}; expected 'nominal' to view it while it is followed")
+        first = recording.files[0].T_world_sensor
+        if first is not None:
+            job = replace(job, T_world_base=first.to(job.T_world_base))
+        job, scene = only_frame(job), build_job_scene(job)
+        parameters = Parameters.of(job, scene)
+        return Followed(recording=recording, job=job, scene=scene, parameters=parameters)
+
+    def passed(self, index: int, line: Mapping[str, Any]) -> Passed:
+        """What a line of ``frames.jsonl`` says.
+
+        Raises:
+            KeyError: If the line lacks what is needed.
+        """
+        parameters, nominal = self.parameters, self.parameters.nominal
+        corrections = [line["corrections"][name]["value"] for name in parameters.names]
+        return Passed(
+            index=index,
+            state=parameters.retract(nominal, nominal.new_tensor(corrections)),
+            covariance=nominal.new_tensor(line["covariance"]),
+        )
+
+    def place(self, passed: Passed) -> FramePlace:
+        """Where everything was."""
+        file = self.recording.files[passed.index]
+        parameters = self.parameters.at(file.blank())
+        Ts = parameters.mechanism.bodies(passed.state)[0].double().cpu()
+        J = parameters.pose_jacobians(passed.state)[0]
+        bodies = zip(self.scene.bodies, Ts, strict=True)
+        return FramePlace(
+            name=file.name,
+            T_world_sensor=parameters.sensor_poses(passed.state)[0].double().cpu(),
+            pose_covariance=gaussian.moved_covariance(passed.covariance, J).double().cpu(),
+            Ts_world_link={body.link: T for body, T in bodies if body.link is not None},
+        )
+
+    def comparison(self, passed: Passed) -> FrameComparison:
+        """The frame against the model as it was believed to be; blank where it cannot be read."""
+        frame = self._frame(passed.index)
+        parameters = self.parameters.at(frame)
+        job = replace(self.job, frames=(frame,))
+        belief = nominal_belief(job, parameters)
+        belief = replace(belief, state=passed.state, covariance=passed.covariance)
+        return compare(job, self.scene, parameters, belief)[1][0]
+
+    def _frame(self, index: int) -> Frame:
+        blank = self.recording.files[index].blank()
+        try:
+            frame = usable_frame(self.recording.frame(index), self.job)
+        except JobError:
+            return blank
+        return blank if isinstance(frame, str) else frame

@@ -1,0 +1,78 @@
+"""``torchcal view``: the operator's view in a browser, until the program is interrupted."""
+
+import importlib.util
+import sys
+from contextlib import redirect_stdout
+from functools import partial
+
+import torch
+from rich.console import Console
+
+from torchcal.calibrate import calibrate
+from torchcal.calibrate.followed import Followed
+from torchcal.calibrate.kept_result import kept
+from torchcal.cli.commands import USABLE, device, line, print_json
+from torchcal.cli.options import View
+from torchcal.cli.output import newest
+from torchcal.cli.progress import progress
+from torchcal.display.view.follow import FollowSource
+from torchcal.display.view.source import FolderSource, KeptSource, Source
+from torchcal.errors import TorchcalError
+from torchcal.model.read_job import read_job, read_recording
+
+FRAMES = "frames.jsonl"
+
+
+def run_view(command: View, out: Console, err: Console) -> int:
+    """``torchcal view``; returns the exit status."""
+    if importlib.util.find_spec("viser") is None:
+        raise TorchcalError(
+            "torchcal view: found no viser; expected the extra view: pip install 'torchcal[view]'"
+        )
+    from torchcal.display.view.app import View as Window  # noqa: PLC0415, needs viser
+
+    source = source_of(command, err)
+    with redirect_stdout(sys.stderr):  # viser tells its address there, too
+        window = Window(source, host=command.host, port=command.port)
+    if command.options.json:
+        print_json({"address": window.address}, out)
+    else:
+        line(out, f"Open {window.address} in a browser; stop with Ctrl-C")
+    out.file.flush()
+    try:
+        window.watch()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        with redirect_stdout(sys.stderr):
+            window.stop()
+    return USABLE
+
+
+def source_of(command: View, err: Console) -> Source:
+    """What a person asked to see.
+
+    Raises:
+        TorchcalError: If it cannot be read.
+    """
+    place = command.result
+    if command.follow is not None:
+        recording = read_recording(place, device=device(command.options))
+        return FollowSource(Followed.of(recording), partial(newest, command.follow, FRAMES))
+    if not place.is_dir():
+        return _nominal(command, err)
+    if (place / FRAMES).is_file():
+        raise TorchcalError(
+            f"{place}: found what torchcal follow wrote; expected its job: "
+            f"torchcal view JOB --follow {place}"
+        )
+    return FolderSource(place)
+
+
+def _nominal(command: View, err: Console) -> KeptSource:
+    """A job before anything is estimated."""
+    job = read_job(command.result, device=device(command.options))
+    generator = torch.Generator().manual_seed(command.options.seed % 2**63)
+    with progress(err) as report:
+        calibration = calibrate(job, estimate=False, generator=generator, progress=report)
+    return KeptSource(kept(calibration))
