@@ -6,6 +6,7 @@ Every command is a call or two of what stands here::
     torchcal follow       read_recording, follow
     torchcal render       read_job, predict
     torchcal check        read_job, check
+    torchcal import       import_recording
     torchcal demo         make_demo, then as calibrate
 """
 
@@ -62,6 +63,9 @@ from torchcal.model.job import Job as Job
 from torchcal.model.read_job import Recording as Recording
 from torchcal.model.read_job import read_job as read_job
 from torchcal.model.read_job import read_recording as read_recording
+from torchcal.model.recordings.import_recording import Imported as Imported
+from torchcal.model.recordings.import_recording import import_recording as import_recording
+from torchcal.model.recordings.recorded import Selection as Selection
 from torchcal.model.robot import Robot as Robot
 from torchcal.model.robot import load_robot as load_robot
 from torchcal.model.scene import Scene as Scene

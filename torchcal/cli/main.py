@@ -11,7 +11,8 @@ from rich.console import Console
 
 from torchcal.cli import commands
 from torchcal.cli.follow import run_follow
-from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Render, parse
+from torchcal.cli.import_recording import run_import
+from torchcal.cli.options import Calibrate, Check, Command, Demo, Follow, Import, Render, parse
 from torchcal.errors import TorchcalError
 
 UNREADABLE = 2
@@ -44,5 +45,6 @@ def _runner(command: Command) -> Callable[[Any, Console, Console], int]:
         Follow: run_follow,
         Render: commands.run_render,
         Check: commands.run_check,
+        Import: run_import,
         Demo: commands.run_demo,
     }[type(command)]

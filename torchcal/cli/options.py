@@ -25,6 +25,11 @@ class Options:
     """Print the result as JSON on standard output, and nothing else there."""
 
 
+def _optional(metavar: str, default: str) -> object:
+    """How the help shows an option that need not be given."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=default)
+
+
 _BY_SHARE = "(default: a hundredth of its sigma in the job)"
 
 Shared = Annotated[Options, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
@@ -81,6 +86,39 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Import:
+    """Make a job of a bag of ROS 1 or ROS 2, an MCAP file, depth images or point clouds."""
+
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+    """A bag, a folder of depth PNGs with Open3D's intrinsics, or PLY or PCD clouds."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the job; it must be new or empty."""
+    world: Annotated[Path | None, _optional("FILE", "(default: yours to fill in)")] = None
+    """The CAD model of the surroundings."""
+    like: Annotated[Path | None, _optional("JOB", "")] = None
+    """Another job of the same cell, from which what the recording cannot know is taken over."""
+    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 20
+    """The most images to take; one for each posture in which nothing moved."""
+    use: Annotated[tuple[str, ...], _optional("NAME ...", "(default: if there is no choice)")] = ()
+    """The topics, or files of a folder, to read where there are several."""
+    urdf: Annotated[Path | None, _optional("FILE", "(default: robot_description)")] = None
+    """The robot."""
+    package: Annotated[tuple[str, ...], _optional("NAME=DIR ...", "")] = ()
+    """Where the packages are that package:// means in the URDF."""
+    link: Annotated[str | None, _optional("NAME", "(default: by tf_static)")] = None
+    """The link that carries the sensor, or "world"."""
+    depth_unit: Annotated[float | None, _optional("M", "(default: 0.001, floats 1)")] = None
+    """Metres of one unit of the images."""
+    resolution: Annotated[float | None, _optional("DEG", "(default: by the points)")] = None
+    """Degrees between the pixels onto which points without an order are projected."""
+    position: Annotated[
+        tuple[float, float, float] | None, _optional("X Y Z", "(default: that of the points)")
+    ] = None
+    """Where the sensor stood (m), for clouds in the axes of the world."""
+    options: Shared = Options()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Demo:
     """Make a robot, a cell and a recording, calibrate it, compare with the truth."""
 
@@ -89,13 +127,14 @@ class Demo:
     options: Shared = Options()
 
 
-Command = Calibrate | Follow | Render | Check | Demo
+Command = Calibrate | Follow | Render | Check | Import | Demo
 
 COMMANDS: dict[str, type] = {
     "calibrate": Calibrate,
     "follow": Follow,
     "render": Render,
     "check": Check,
+    "import": Import,
     "demo": Demo,
 }
 

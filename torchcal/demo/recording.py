@@ -3,8 +3,9 @@
 import math
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.robot import Robot, load_robot
 from torchcal.model.sensor import Drift, Noise, Sensor
+from torchcal.model.write_job import write_job
 
 LINK = "depth_optical_frame"
 
@@ -53,6 +55,11 @@ POSTURES = (
 
 POSITION_SIGMA, ROTATION_SIGMA_DEG = 0.06, 3.0
 """The job's prior of the base (m, degrees)."""
+
+_HEADING = (
+    "A robot cell. The arm stands some centimetres and degrees off its drawing; one object of the",
+    "model is gone and one is there that the model does not know.",
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +96,7 @@ def make_demo(
     report("building the cell", 0.0)
     shutil.copytree(robot_folder("arm"), folder / "arm", dirs_exist_ok=True)
     cell.as_scene(cell.modelled_objects()).export(folder / "cell.glb")
-    (folder / "job.toml").write_text(_job_text(), encoding="utf-8")
+    write_job(folder / "job.toml", _job_tables(), heading=_HEADING)
     T_world_base = nominal_T_world_base() @ se3.exp(torch.from_numpy(base_error(rng)))
     robot = load_robot(folder / "arm" / "arm.urdf")
     for index, posture in enumerate(POSTURES):
@@ -176,40 +183,27 @@ def _silent(what: str, share: float) -> None:
     """Tells nobody."""
 
 
-def _job_text() -> str:
-    frames = "".join(_frame_text(_file(index), posture) for index, posture in enumerate(POSTURES))
-    return f"""\
-# A robot cell. The arm stands some centimetres and degrees off its drawing; one object of the model
-# is gone and one is there that the model does not know.
-[world]
-model = "cell.glb"
-complete = true
-
-[robot]
-urdf = "arm/arm.urdf"
-base = {{ xyz = [0.0, 0.0, {cell.PEDESTAL_HEIGHT}], rpy_deg = [0.0, 0.0, 0.0] }}
-
-[sensor]
-link = "{LINK}"
-model = "pinhole"
-width = {SIDE}
-height = {SIDE}
-fx = {FOCAL!r}
-fy = {FOCAL!r}
-cx = {(SIDE - 1) / 2}
-cy = {(SIDE - 1) / 2}
-depth_unit = {SENSOR.depth_unit}
-range = [{SENSOR.near}, {SENSOR.far}]
-sigma = {SENSOR.noise.a}
-drift = 0
-beam = {SENSOR.beam}
-{frames}
-[unknown.base]
-position_sigma = {POSITION_SIGMA}
-rotation_sigma_deg = {ROTATION_SIGMA_DEG}
-"""
-
-
-def _frame_text(file: str, posture: tuple[float, ...]) -> str:
-    joints = ", ".join(f"{name} = {value}" for name, value in zip(JOINTS, posture, strict=True))
-    return f'\n[[frame]]\ndepth = "{file}"\njoints = {{ {joints} }}\n'
+def _job_tables() -> dict[str, Any]:
+    projection = SENSOR.projection
+    assert isinstance(projection, Pinhole)
+    return {
+        "world": {"model": "cell.glb", "complete": True},
+        "robot": {"urdf": "arm/arm.urdf", "base": {"xyz": [0.0, 0.0, cell.PEDESTAL_HEIGHT]}},
+        "sensor": {
+            "link": LINK,
+            "model": "pinhole",
+            **{each.name: getattr(projection, each.name) for each in fields(projection)},
+            "depth_unit": SENSOR.depth_unit,
+            "range": [SENSOR.near, SENSOR.far],
+            "sigma": SENSOR.noise.a,
+            "drift": 0,
+            "beam": SENSOR.beam,
+        },
+        "frame": [
+            {"depth": _file(index), "joints": dict(zip(JOINTS, posture, strict=True))}
+            for index, posture in enumerate(POSTURES)
+        ],
+        "unknown": {
+            "base": {"position_sigma": POSITION_SIGMA, "rotation_sigma_deg": ROTATION_SIGMA_DEG}
+        },
+    }

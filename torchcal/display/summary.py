@@ -1,8 +1,6 @@
 """The answer as rows that a person reads: corrections, how sure they are, settings of the job."""
 
-import json
 import math
-import re
 from dataclasses import dataclass
 
 import torch
@@ -15,6 +13,7 @@ from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job, PosePrior, RangePrior
 from torchcal.model.sensor import Noise, Sensor
+from torchcal.model.write_job import key
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -196,14 +195,8 @@ def next_view_words(view: NextView | None) -> str:
     """Where to look next, as a job file has it (rad, m); empty where nobody knows."""
     if view is None:
         return ""
-    joints = ", ".join(f"{_key(name)} = {value:.3f}" for name, value in view.joints.items())
+    joints = ", ".join(f"{key(name)} = {value:.3f}" for name, value in view.joints.items())
     return f"joints = {{ {joints} }}"
-
-
-def _key(name: str) -> str:
-    """A name as a key of TOML: in quotes where it has to be."""
-    bare = re.fullmatch(r"[A-Za-z0-9_-]+", name)
-    return name if bare else json.dumps(name, ensure_ascii=False)
 
 
 def settings(job: Job) -> dict[str, str]:

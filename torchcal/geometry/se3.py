@@ -114,6 +114,14 @@ def from_xyz_rpy(
     return from_rotation_translation(yaw @ pitch @ roll, xyz)
 
 
+def from_quaternion(
+    xyz: Float[Tensor, "*batch 3"], wxyz: Float[Tensor, "*batch 4"]
+) -> Float[Tensor, "*batch 4 4"]:
+    """A pose from metres and a quaternion of any length but 0, its real part first."""
+    unit = torch.nn.functional.normalize(wxyz, dim=-1)
+    return from_rotation_translation(quaternion_to_rotation_matrix(unit), xyz)
+
+
 def to_xyz_rpy(
     T: Float[Tensor, "*batch 4 4"],
 ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:

@@ -8,7 +8,13 @@ from urllib.parse import unquote
 _MATERIAL_LIBRARY = re.compile(r"(?m)^(\s*mtllib\s+)(.+?)(\s*)$")
 _MATERIAL_IMAGE = re.compile(r"(?m)^(\s*(?:map_\w+|bump|disp|decal|norm)\s.*?)(\S+)([ \t]*)$")
 _COLLADA_IMAGE = re.compile(r"(<init_from>\s*)([^<]+?)(\s*</init_from>)")
-_REFERENCES = {".obj": _MATERIAL_LIBRARY, ".mtl": _MATERIAL_IMAGE, ".dae": _COLLADA_IMAGE}
+_GLTF_FILE = re.compile(r"(\"uri\"\s*:\s*\")([^\"]+)(\")")
+_REFERENCES = {
+    ".obj": _MATERIAL_LIBRARY,
+    ".mtl": _MATERIAL_IMAGE,
+    ".dae": _COLLADA_IMAGE,
+    ".gltf": _GLTF_FILE,
+}
 
 
 class MeshFolder:

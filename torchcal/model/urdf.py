@@ -52,7 +52,7 @@ def write_urdf(
     root = read_xml(robot.file)
     for child, motion in robot.joint_motions(joint_offsets or {}).items():
         _shift_joint(root, child, motion)
-    _copy_files(robot.file, root, MeshFolder(file.parent / "meshes"))
+    copy_files(robot.file, root, MeshFolder(file.parent / "meshes"))
     links = {element.get("name", "") for element in root.findall("link")}
     joints = {element.get("name", "") for element in root.findall("joint")}
     world = WORLD_LINK if WORLD_LINK not in links else _free("torchcal_world", links)
@@ -122,8 +122,14 @@ def _digits(values: Tensor) -> str:
     return " ".join(f"{value:.17g}" for value in values.tolist())
 
 
-def _copy_files(urdf: Path, root: ET.Element, folder: MeshFolder) -> None:
-    """Copies every file that the URDF names; collision meshes that are not there stay as named."""
+def copy_files(urdf: Path, root: ET.Element, folder: MeshFolder) -> None:
+    """Copies every file that a URDF names, and names the copies in it.
+
+    Args:
+        urdf: The file, around which those that it names are looked for.
+        root: Its ``<robot>`` element; collision meshes that are not there stay as named.
+        folder: Takes the copies; it must be beside the file that ``root`` will be written to.
+    """
     for element in [*root.iter("mesh"), *root.iter("texture")]:
         name = element.get("filename", "")
         try:

@@ -19,6 +19,7 @@ from torchcal.model.urdf_tree import (
 
 DEEPEST = 200
 """Most joints one after another: forward kinematics climbs the tree by recursion."""
+_EXPECTED = "a URDF: XML whose root element is <robot>"
 
 
 class _WithoutDoctype(ET.TreeBuilder):
@@ -34,16 +35,28 @@ def read_xml(file: Path) -> ET.Element:
     Raises:
         JobError: If the file is missing, is not XML, has a DOCTYPE or is no URDF.
     """
-    expected = "a URDF: XML whose root element is <robot>"
     if not file.is_file():
-        raise JobError(file, "", "no such file", expected)
+        raise JobError(file, "", "no such file", _EXPECTED)
+    return parse_xml(file, file.read_bytes())
+
+
+def parse_xml(file: Path, content: bytes) -> ET.Element:
+    """The ``<robot>`` element of a URDF, comments included.
+
+    Args:
+        file: Where it comes from, for the message of an error.
+        content: The URDF.
+
+    Raises:
+        JobError: If it is not XML, has a DOCTYPE or is no URDF.
+    """
     parser = ET.XMLParser(target=_WithoutDoctype(insert_comments=True))
     try:
-        root = ET.fromstring(file.read_bytes(), parser)
+        root = ET.fromstring(content, parser)
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise JobError(file, "", f"{error}", expected) from error
+        raise JobError(file, "", f"{error}", _EXPECTED) from error
     if root.tag != "robot":
-        raise JobError(file, "", f"the root element <{root.tag}>", expected)
+        raise JobError(file, "", f"the root element <{root.tag}>", _EXPECTED)
     if any(isinstance(element.tag, str) and "xacro}" in element.tag for element in root.iter()):
         raise JobError(file, "", "unexpanded xacro", "a plain URDF: run xacro on the file first")
     return root
