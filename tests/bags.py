@@ -117,9 +117,7 @@ class Messages:
         xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
     ) -> Any:
         shift = self.make("geometry_msgs/msg/Vector3", x=xyz[0], y=xyz[1], z=xyz[2])
-        turn = self.make(
-            "geometry_msgs/msg/Quaternion", x=xyzw[0], y=xyzw[1], z=xyzw[2], w=xyzw[3]
-        )
+        turn = self.make("geometry_msgs/msg/Quaternion", x=xyzw[0], y=xyzw[1], z=xyzw[2], w=xyzw[3])
         inner = self.make("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
         return self.make(
             "geometry_msgs/msg/TransformStamped",

@@ -91,9 +91,7 @@ def test_floats_keep_their_bits(m: Messages):
 
 def test_png_and_rvl_are_lossless(m: Messages):
     for words, body in (("png", png(MILLIMETRES)), ("rvl", rvl(MILLIMETRES))):
-        message = m.compressed(
-            m.header(0.0), f"16UC1; compressedDepth {words}", payload(body)
-        )
+        message = m.compressed(m.header(0.0), f"16UC1; compressedDepth {words}", payload(body))
         np.testing.assert_array_equal(depth_pixels(message), MILLIMETRES)
 
 
@@ -187,7 +185,9 @@ def test_an_image_of_another_size_than_its_camera_is_a_mistake(tmp_path: Path, m
 
 
 def test_a_broken_image_names_its_topic(tmp_path: Path, m: Messages):
-    broken = m.compressed(m.header(0.0), "16UC1; compressedDepth png", payload(png(MILLIMETRES)[:40]))
+    broken = m.compressed(
+        m.header(0.0), "16UC1; compressedDepth png", payload(png(MILLIMETRES)[:40])
+    )
     with pytest.raises(JobError, match=r"/depth/image_raw: found a message that cannot be used"):
         imported(tmp_path, m, broken, pinhole(m))
 
@@ -202,7 +202,9 @@ def test_a_camera_that_was_never_calibrated_is_a_mistake(tmp_path: Path, m: Mess
 def test_a_lens_is_taken_out_of_raw_images_and_told(tmp_path: Path, m: Messages):
     image = m.image(m.header(0.0), MILLIMETRES, "16UC1")
     made = imported(tmp_path, m, image, pinhole(m, lens=PLUMB))
-    assert any("is not rectified: its lens (plumb_bob) was taken out" in each for each in made.notes)
+    assert any(
+        "is not rectified: its lens (plumb_bob) was taken out" in each for each in made.notes
+    )
     assert not np.array_equal(image_of(made), MILLIMETRES)
 
 

@@ -126,7 +126,9 @@ def test_a_cloud_of_a_bag_is_an_image(tmp_path: Path, kind: str):
     m = Messages(kind)
     image = wall(SCANNER)
     made = imported(tmp_path, m, m.cloud(m.header(0.0, "lidar"), points(SCANNER, image, BODY)))
-    assert any("organised clouds were taken as they are: a spherical image" in n for n in made.notes)
+    assert any(
+        "organised clouds were taken as they are: a spherical image" in n for n in made.notes
+    )
     np.testing.assert_allclose(np.load(made.job.parent / "depth" / "0001.npy"), image, rtol=1e-5)
     assert "columns = 60\nrows = 16\n" in made.job.read_text()
 
@@ -201,12 +203,17 @@ def write_pcd(file: Path, cloud: np.ndarray, data: str) -> None:
         records[name] = cloud[..., k].ravel()
     head = HEADER.format(width=width, height=height, points=height * width, data=data).encode()
     if data == "ascii":
-        rows = ["{x} {y} {z} 0 0 0 0 0.5".format(**dict(zip("xyz", p, strict=True))) for p in cloud.reshape(-1, 3)]
+        rows = [
+            "{x} {y} {z} 0 0 0 0 0.5".format(**dict(zip("xyz", p, strict=True)))
+            for p in cloud.reshape(-1, 3)
+        ]
         file.write_bytes(head + "\n".join(rows).encode())
     elif data == "binary":
         file.write_bytes(head + records.tobytes())
     else:
-        columns = b"".join(np.ascontiguousarray(records[name]).tobytes() for name in kind.names or ())
+        columns = b"".join(
+            np.ascontiguousarray(records[name]).tobytes() for name in kind.names or ()
+        )
         packed = lzf(columns)
         sizes = np.array([len(packed), len(columns)], "<u4").tobytes()
         file.write_bytes(head + sizes + packed)

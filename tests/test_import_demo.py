@@ -42,7 +42,9 @@ def test_the_imported_job_is_the_demos(demo, kind: str, tmp_path: Path):
     assert len(found.frames) == len(own.frames)
     for one, other in zip(own.frames, found.frames, strict=True):
         torch.testing.assert_close(other.joints, one.joints, rtol=0, atol=0)
-        torch.testing.assert_close(other.image.range, one.image.range, rtol=0, atol=0, equal_nan=True)
+        torch.testing.assert_close(
+            other.image.range, one.image.range, rtol=0, atol=0, equal_nan=True
+        )
     assert own.robot is not None
     assert found.robot is not None
     assert found.robot.link_meshes.keys() == own.robot.link_meshes.keys()

@@ -79,7 +79,11 @@ def poses_of(made: Imported) -> torch.Tensor:
 
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("trajectory.log", write_log), ("groundtruth.txt", write_tum), ("trajectory.json", write_json)],
+    [
+        ("trajectory.log", write_log),
+        ("groundtruth.txt", write_tum),
+        ("trajectory.json", write_json),
+    ],
 )
 def test_poses_come_from_any_of_three_files(tmp_path: Path, name: str, write):
     source = write_images(tmp_path / "in")
@@ -133,7 +137,9 @@ def test_of_several_trajectories_a_person_has_to_choose(tmp_path: Path):
     source = write_images(tmp_path / "in")
     for name in ("odometry.log", "slam.log"):
         write_log(source / name)
-    with pytest.raises(JobError, match=r"2 files with poses: odometry.log, slam.log; .* --use FILE"):
+    with pytest.raises(
+        JobError, match=r"2 files with poses: odometry.log, slam.log; .* --use FILE"
+    ):
         imported(source, tmp_path)
     made = import_recording(source, tmp_path / "out", selection=Selection(use=("slam.log",)))
     assert made.frames == 3

@@ -96,9 +96,7 @@ def _record_kind(header: dict[str, list[str]]) -> np.dtype:
     )
 
 
-def _from_text(
-    header: dict[str, list[str]], body: bytes, kind: np.dtype, count: int
-) -> np.ndarray:
+def _from_text(header: dict[str, list[str]], body: bytes, kind: np.dtype, count: int) -> np.ndarray:
     counts = [int(word) for word in header.get("COUNT", ["1"] * len(header["FIELDS"]))]
     numbers = np.array([float(word) for word in body.split()], np.float64)
     rows = numbers.reshape(count, sum(counts))
