@@ -5,9 +5,10 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import trimesh
+import tyro
 from torch import Tensor
 
 import torchcal
@@ -27,6 +28,9 @@ from torchcal.demo.swept_score import (
 
 from .registration import open3d_icp
 from .table import REPORT, write_section
+
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+Results = Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
 
 TRUTH = "truth.json"
 ABOUT = """\
@@ -60,7 +64,7 @@ def generate(out: Path, *, tier: Literal["tiny", "small", "full"] = "small", see
     (out / TRUTH).write_text(text, encoding="utf-8")
 
 
-def icp(folder: Path, out: Path) -> None:
+def icp(folder: Folder, out: Path) -> None:
     """Open3D's point-to-plane ICP on every job of a benchmark.
 
     Args:
@@ -74,7 +78,7 @@ def icp(folder: Path, out: Path) -> None:
         (target / "result.json").write_text(text, encoding="utf-8")
 
 
-def score_results(folder: Path, results: list[Path], *, out: Path | None = None) -> None:
+def score_results(folder: Folder, results: Results, *, out: Path | None = None) -> None:
     """Judges the answers of any programs.
 
     Args:
@@ -107,7 +111,7 @@ def _icp_result(job: torchcal.Job) -> dict[str, Any]:
     mesh: Any = trimesh.util.concatenate(meshes_in_world(job.world))
     if job.initial == "anywhere":
         return {"status": "failed", "frames": []}
-    localise = open3d_icp(mesh, job.sensor)
+    localise = open3d_icp(mesh, job.sensor, block=1)
     starts = torchcal.Parameters.of(job, torchcal.build_job_scene(job))
     frames = [
         {"depth": frame.image.file, "T_world_sensor": _pose(localise, frame.image.range, start)}

@@ -190,7 +190,7 @@ def _write_room_job(
     """One image of a room by a sensor in somebody's hand."""
     room = _room(setting, rng)
     T_world_sensor = drawn_view(rng, heading=None if setting.planes is None else CORNER)
-    sensor = _sensor(setting, side)
+    sensor = swept_sensor(setting, side)
     real = World(objects=_real_objects(setting, room.world, rng))
     scene = raycast.view(meshes_in_world(real), T_world_sensor.numpy())
     image = raycast.measure(raycast.predict(scene, sensor.projection, sensor.beam), sensor, rng)
@@ -219,7 +219,7 @@ def _write_arm_job(folder: Path, setting: Setting, side: int, rng: np.random.Gen
     job = arm_job(512)
     job = replace(
         job,
-        sensor=_sensor(setting, side),
+        sensor=swept_sensor(setting, side),
         base=prior(0.02, 1.0),
         joints=dict.fromkeys(JOINTS[1:], sigma),
     )
@@ -267,7 +267,8 @@ def _real_objects(setting: Setting, model: World, rng: np.random.Generator) -> t
     return (*there, *drawn_boxes(rng, setting.extra, name="extra"))
 
 
-def _sensor(setting: Setting, side: int) -> Sensor:
+def swept_sensor(setting: Setting, side: int) -> Sensor:
+    """The camera of a setting, with so many pixels along a side."""
     focal, middle = side / 2 / math.tan(FIELD_OF_VIEW / 2), (side - 1) / 2
     return Sensor(
         projection=Pinhole(width=side, height=side, fx=focal, fy=focal, cx=middle, cy=middle),
