@@ -1,13 +1,19 @@
-"""Measure torchcal beside other programs; each measurement writes its section of benchmarks.md."""
+"""Measure torchcal beside other programs; each measurement writes its section of benchmarks.md.
+
+``generate`` writes jobs with known truth, ``icp`` answers them, ``score`` judges any answers.
+"""
 
 import tyro
-from benchmarks import fleet, localise, render, solver
+from benchmarks import fleet, jobs, localise, render, solver
 
 COMMANDS = {
     "solver": solver.measure,
     "render": render.measure,
     "localise": localise.measure,
     "fleet": fleet.measure,
+    "generate": jobs.generate,
+    "icp": jobs.icp,
+    "score": jobs.score_results,
 }
 
 

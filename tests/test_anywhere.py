@@ -105,6 +105,7 @@ def test_without_a_prior_nothing_nominal_is_believed():
     room = scenes.box((5.0, 4.0, 7.0), (0.2, -0.1, 0.4), (0.05, 0.1, 0.02))
     diagonal = float(np.linalg.norm(room.extents))
     expected = torch.tensor([diagonal] * 3 + [math.pi] * 3).double()
+    assert job.base is not None
     torch.testing.assert_close(job.base.sigma, expected, rtol=1e-6, atol=0.0)
     nominal = replace(hand_held(), initial="nominal")
     assert without_prior(nominal) is nominal

@@ -8,10 +8,12 @@ import pytest
 import torch
 from display_scene import HEIGHT, WIDTH, calibration, job
 
-from torchcal.calibrate.result import (
+from torchcal.calibrate.check_result import (
     FrameCheck,
     JobCheck,
     ParameterCheck,
+)
+from torchcal.calibrate.result import (
     Status,
     UnobservableDirection,
 )

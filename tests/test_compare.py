@@ -67,12 +67,16 @@ def wall_job(sigma: float = 0.02, frames: int = 1) -> Job:
 
 
 def believed_and_compared(
-    job: Job, covariance: torch.Tensor, **belief: float
+    job: Job, covariance: torch.Tensor, *, drift_sigma: float = 0.0, drift_pixels: float = 0.0
 ) -> tuple[Belief, tuple[FrameComparison, ...]]:
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)
-    settings = {"drift_sigma": 0.0, "drift_pixels": 0.0, **belief}
-    known = Belief(state=parameters.nominal, covariance=covariance, **settings)
+    known = Belief(
+        state=parameters.nominal,
+        covariance=covariance,
+        drift_sigma=drift_sigma,
+        drift_pixels=drift_pixels,
+    )
     return compare(job, scene, parameters, known)
 
 

@@ -11,12 +11,14 @@ import trimesh
 from display_scene import calibration
 from PIL import Image
 
-from torchcal.calibrate.parameters import AXES
-from torchcal.calibrate.result import (
+from torchcal.calibrate.check_result import (
     FrameCheck,
     JobCheck,
-    ObjectVerdict,
     ParameterCheck,
+)
+from torchcal.calibrate.parameters import AXES
+from torchcal.calibrate.result import (
+    ObjectVerdict,
     Status,
     UnobservableDirection,
 )

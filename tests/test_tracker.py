@@ -23,6 +23,7 @@ from torchcal.calibrate.tracker import PATIENCE, Tracker
 from torchcal.calibrate.wander import Wander
 from torchcal.errors import TorchcalError
 from torchcal.geometry import se3
+from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import RangePrior
 
 FREE = Wander(blocks={"base": prior(0.03, 0.04)})
@@ -161,7 +162,7 @@ def test_a_robots_joint_offset_is_found_and_a_slip_of_the_joint_is_told(tmp_path
 def test_jobs_that_cannot_be_tracked_are_named():
     with pytest.raises(TorchcalError, match="found nothing unknown"):
         Tracker.of(camera_job(base=None), generator=generator())
-    tiny = replace(SENSOR, projection=replace(SENSOR.projection, width=8, height=6))
+    tiny = replace(SENSOR, projection=Pinhole(width=8, height=6, fx=9.0, fy=9.0, cx=3.5, cy=2.5))
     with pytest.raises(TorchcalError, match=r"anywhere.* with images of 8 x 6 pixels"):
         Tracker.of(camera_job(initial="anywhere", sensor=tiny), generator=generator())
 

@@ -82,7 +82,7 @@ def test_the_answer_has_the_precision_of_the_job():
     )
 
 
-def slowly_varying(shape: tuple[int, int], sigma: float, pixels: float) -> Tensor:
+def slowly_varying(shape: torch.Size, sigma: float, pixels: float) -> Tensor:
     """A Gaussian field (m) of this correlation length."""
     noise = np.random.default_rng(0).standard_normal(shape)
     smooth = gaussian_filter(noise, pixels / 2**0.5, mode="wrap")
@@ -96,7 +96,7 @@ def test_a_slowly_varying_range_error_that_nobody_declared_is_in_the_covariance(
     meshes = list(recordings.room().values())
     clean = torch.from_numpy(tracking_trials.cast(meshes, START, sensor))
     noise = 0.002 * torch.randn(clean.shape, generator=generator(), dtype=torch.float64)
-    ranges = clean + noise + slowly_varying(tuple(clean.shape), 0.002, 20.0)
+    ranges = clean + noise + slowly_varying(clean.shape, 0.002, 20.0)
     tracker = Tracker.of(camera_job(sensor=sensor), generator=generator())
     tracker, tracked = tracker.step(frame_of(ranges))
     assert tracker.trust is not None

@@ -102,6 +102,8 @@ def test_soft_limits_and_reference_positions_move_with_the_zero_of_their_joint(t
     written = ET.parse(out).getroot().findall("joint")
     found = next(each for each in written if each.get("name") == name)
     soft, reference = found.find("safety_controller"), found.find("calibration")
+    assert soft is not None
+    assert reference is not None
     assert soft.attrib == {
         "soft_lower_limit": "-1.125",
         "soft_upper_limit": "1.875",

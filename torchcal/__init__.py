@@ -20,6 +20,12 @@ from torchcal.calibrate import calibrate as calibrate
 from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
 from torchcal.calibrate.check import foresee as foresee
+from torchcal.calibrate.check_result import (
+    Foresight as Foresight,
+)
+from torchcal.calibrate.check_result import (
+    JobCheck as JobCheck,
+)
 from torchcal.calibrate.compare import reclassified as reclassified
 from torchcal.calibrate.decisions import Decision as Decision
 from torchcal.calibrate.decisions import Transaction as Transaction
@@ -43,9 +49,7 @@ from torchcal.calibrate.result import Calibration as Calibration
 from torchcal.calibrate.result import Change as Change
 from torchcal.calibrate.result import Estimate as Estimate
 from torchcal.calibrate.result import Evidence as Evidence
-from torchcal.calibrate.result import Foresight as Foresight
 from torchcal.calibrate.result import FrameComparison as FrameComparison
-from torchcal.calibrate.result import JobCheck as JobCheck
 from torchcal.calibrate.result import NextView as NextView
 from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Proposal as Proposal

@@ -35,11 +35,11 @@ ITERATIONS = 50
 """Most of each run."""
 
 
-def image_points(image: Tensor, sensor: Sensor) -> np.ndarray:
+def image_points(image: Tensor, sensor: Sensor, block: int = BLOCK) -> np.ndarray:
     """Points of blocks of pixels that all have a range, in the sensor's frame (m)."""
-    coarse = sensor.projection.resized(BLOCK)
+    coarse = sensor.projection.resized(block)
     u, v = pixel_grid(coarse, dtype=torch.float64, device=torch.device("cpu"))
-    means = torch.nn.functional.avg_pool2d(image[None], BLOCK)[0]
+    means = torch.nn.functional.avg_pool2d(image[None], block)[0]
     points = means[..., None] * coarse.rays(u, v)
     return points[means.isfinite()].numpy()
 
@@ -59,13 +59,20 @@ def model_points(
     return points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3], mesh.face_normals[face[met]]
 
 
-def open3d_icp(mesh: trimesh.Trimesh, sensor: Sensor) -> Localise:
-    """Point-to-plane ICP with a Tukey kernel, with ever nearer partners."""
+def open3d_icp(mesh: trimesh.Trimesh, sensor: Sensor, block: int = BLOCK) -> Localise:
+    """Point-to-plane ICP with a Tukey kernel, with ever nearer partners.
+
+    Args:
+        mesh: Of what is seen.
+        sensor: What sees it.
+        block: Side (pixels) of the squares whose mean is one point.
+    """
     o3d = _open3d()
 
     def localise(image: Tensor, start: Tensor | None) -> Tensor:
         assert start is not None
-        return torch.from_numpy(_icp(o3d, mesh, sensor, image, start.numpy()))
+        source = _cloud(o3d, image_points(image, sensor, block))
+        return torch.from_numpy(_icp(o3d, mesh, sensor, source, start.numpy()))
 
     return localise
 
@@ -91,7 +98,8 @@ def open3d_features(mesh: trimesh.Trimesh, sensor: Sensor) -> Localise:
         found = registration.registration_ransac_based_on_feature_matching(
             coarse, thin, own, features, True, 2.0 * COARSE, estimate, 3, checks, criteria
         ).transformation
-        return torch.from_numpy(_icp(o3d, mesh, sensor, image, np.array(found)))
+        source = _cloud(o3d, image_points(image, sensor))
+        return torch.from_numpy(_icp(o3d, mesh, sensor, source, np.array(found)))
 
     return localise
 
@@ -129,13 +137,10 @@ def _open3d() -> Any:
     return o3d
 
 
-def _icp(
-    o3d: Any, mesh: trimesh.Trimesh, sensor: Sensor, image: Tensor, T: np.ndarray
-) -> np.ndarray:
+def _icp(o3d: Any, mesh: trimesh.Trimesh, sensor: Sensor, source: Any, T: np.ndarray) -> np.ndarray:
     points, normals = model_points(mesh, sensor, T)
     target = _cloud(o3d, points)
     target.normals = o3d.utility.Vector3dVector(normals)
-    source = _cloud(o3d, image_points(image, sensor))
     registration = o3d.pipelines.registration
     criteria = registration.ICPConvergenceCriteria(max_iteration=ITERATIONS)
     for near, cutoff in RUNS:

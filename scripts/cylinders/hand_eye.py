@@ -1,7 +1,5 @@
 """Where the camera is on the flange, roughly and in closed form, from one axis in all views."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -27,7 +25,10 @@ def mount_and_axis(
         T_flange_camera; in the base the line's middle (m) and its direction.
     """
     turns = Ts_base_flange[:, :3, :3]
-    tries = [_turned(turns, axes, start) for start in Rotation.random(STARTS, random_state=rng)]
+    tries = [
+        _turned(turns, axes, start)
+        for start in Rotation.from_quat(rng.standard_normal((STARTS, 4)))
+    ]
     mount, axis, _ = max(tries, key=lambda each: each[2])
     across = np.linalg.svd(axis[None])[2][1:]
     seen = centres @ mount.as_matrix().T
@@ -45,13 +46,17 @@ def _turned(
     turns: np.ndarray, axes: np.ndarray, start: Rotation
 ) -> tuple[Rotation, np.ndarray, float]:
     """The rotation of the mount, the axis in the base and how well the views agree."""
-    mount = start
+    mount, axis = start, _mean_axis(turns, start, axes)
     for _ in range(ROUNDS):
-        axis = np.einsum("kij,kj->i", turns, mount.apply(axes))
-        axis /= np.linalg.norm(axis)
         mount = Rotation.align_vectors(axis @ turns, axes)[0]
+        axis = _mean_axis(turns, mount, axes)
     agreement = float((np.einsum("kij,kj->ki", turns, mount.apply(axes)) @ axis).sum())
     return mount, axis, agreement
+
+
+def _mean_axis(turns: np.ndarray, mount: Rotation, axes: np.ndarray) -> np.ndarray:
+    axis = np.einsum("kij,kj->i", turns, mount.apply(axes))
+    return axis / np.linalg.norm(axis)
 
 
 def rounded(T: np.ndarray, *, metres: float, degrees: float) -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +69,7 @@ def rounded(T: np.ndarray, *, metres: float, degrees: float) -> tuple[np.ndarray
 def along_z(middle: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """A pose whose z axis is the line."""
     T = np.eye(4)
-    across: Sequence[np.ndarray] = np.linalg.svd(axis[None])[2][1:]
-    T[:3, 0], T[:3, 2], T[:3, 3] = across[0], axis, middle
-    T[:3, 1] = np.cross(axis, across[0])
+    across = np.linalg.svd(axis[None])[2][1]
+    T[:3, 0], T[:3, 2], T[:3, 3] = across, axis, middle
+    T[:3, 1] = np.cross(axis, across)
     return T

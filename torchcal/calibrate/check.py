@@ -5,13 +5,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import without_prior
+from torchcal.calibrate.check_result import (
+    Foresight,
+    FrameCheck,
+    JobCheck,
+    ParameterCheck,
+)
 from torchcal.calibrate.foresight import expected_covariance, foreseen_covariance, next_view
 from torchcal.calibrate.observability import unobservable_directions
 from torchcal.calibrate.observation import coarse_factor, coarser, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene, predict
 from torchcal.calibrate.readings import misreadings
-from torchcal.calibrate.result import Foresight, FrameCheck, JobCheck, ParameterCheck
 from torchcal.calibrate.suspicion import suspicions
 from torchcal.model.job import Frame, Job
 from torchcal.model.precision import job_in_double

@@ -78,7 +78,7 @@ class Followed:
         """Where everything was."""
         file = self.recording.files[passed.index]
         parameters = self.parameters.at(file.blank())
-        Ts = parameters.mechanism.bodies(passed.state)[0].double().cpu()
+        Ts = parameters.mechanism.at(passed.state).Ts_world_body[0].double().cpu()
         J = parameters.pose_jacobians(passed.state)[0]
         bodies = zip(self.scene.bodies, Ts, strict=True)
         return FramePlace(

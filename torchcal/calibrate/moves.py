@@ -15,10 +15,9 @@ from torch import Tensor
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.mechanism import centre_of
 from torchcal.calibrate.nearest_fit import NearestFit
-from torchcal.calibrate.observation import Observation, coarser, grown, observe
+from torchcal.calibrate.observation import Observation, coarse_factor, coarser, grown, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
-from torchcal.calibrate.refine import coarse_factor
 from torchcal.calibrate.regions import Region, interior
 from torchcal.calibrate.result import FrameComparison
 from torchcal.geometry import gaussian, robust, se3
@@ -133,7 +132,7 @@ def _place_of(looked: Looked, index: int, generator: torch.Generator) -> Tensor 
         sigma_scale=looked.belief.sigma_scale,
     )
     laid = _laid_on(observation.without(~pure), _only(surface, index), alone, generator)
-    coarse = replace(fit, observation=coarser(fit.observation, coarse_factor(observation)))
+    coarse = replace(fit, observation=coarser(fit.observation, coarse_factor(observation.sensor)))
     state = _slid(coarse, laid)
     for each in (coarse, fit):
         # Most suspects are let go before the full resolution is looked at.

@@ -56,23 +56,17 @@ def simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     # Decimation takes an open mesh's border for a place without shape and eats it.
     length = SKIRT * math.sqrt(2.0 * mesh.area / len(mesh.faces))
     skirted = _skirted(mesh, length)
-    points, faces = _decimated(skirted, target_reduction=0.5, lossless=True)
+    points, faces, *_ = fast_simplification.simplify(
+        skirted.vertices, skirted.faces.astype(np.int32), target_reduction=0.5, lossless=True
+    )
     if len(faces) > MOST_FACES:
-        whole = trimesh.Trimesh(points, faces, process=False)
-        points, faces = _decimated(whole, target_count=MOST_FACES)
+        points, faces, *_ = fast_simplification.simplify(
+            points, faces.astype(np.int32), target_count=MOST_FACES
+        )
     off, _ = KDTree(mesh.vertices).query(points)
     light = trimesh.Trimesh(points, faces[(off[faces] < 0.5 * length).all(1)], process=False)
     light.remove_unreferenced_vertices()
     return light if len(light.faces) else mesh
-
-
-def _decimated(
-    mesh: trimesh.Trimesh, **settings: bool | int | float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces that ``fast_simplification`` leaves."""
-    points, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
-    light = fast_simplification.simplify(points, faces, **settings)
-    return light[0], light[1]
 
 
 def _skirted(mesh: trimesh.Trimesh, length: float) -> trimesh.Trimesh:

@@ -9,13 +9,15 @@ from typing import Any
 
 from torch import Tensor
 
+from torchcal.calibrate.check_result import (
+    JobCheck,
+)
 from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import (
     AddedObject,
     Calibration,
     Estimate,
     FrameComparison,
-    JobCheck,
     ObjectVerdict,
     PixelClass,
     UnobservableDirection,

@@ -8,11 +8,13 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from torchcal.calibrate.result import (
-    Calibration,
+from torchcal.calibrate.check_result import (
     FrameCheck,
     JobCheck,
     ParameterCheck,
+)
+from torchcal.calibrate.result import (
+    Calibration,
     Status,
     UnobservableDirection,
 )
