@@ -226,3 +226,16 @@ def test_a_sigma_that_is_too_large_stays():
     job = replace(wall_job(sigma=0.001), sensor=recordings.sensor(CAMERA, sigma=0.02))
     belief, _ = believed_and_compared(job, certain())
     assert belief.sigma_scale == 1.0
+
+
+@pytest.mark.parametrize("beside", [-0.04, 0.0, 0.04])
+@pytest.mark.parametrize("limit", ["near", "far"])
+def test_where_noise_decides_what_is_measured_nothing_is_said(limit, beside):
+    job = wall_job(sigma=0.02)
+    sensor = replace(job.sensor, **{limit: WALL + beside})
+    ranges = job.frames[0].image.range
+    gated = torch.where((ranges > sensor.near) & (ranges < sensor.far), ranges, torch.nan)
+    frame = recordings.frame_of(gated, T_world_sensor=EYE)
+    (found,) = compared(replace(job, sensor=sensor, frames=(frame,)), certain())
+    assert 0.0 < float(gated.isfinite().double().mean()) < 1.0
+    assert bool((found.label == PixelClass.NOT_COMPARED).all())

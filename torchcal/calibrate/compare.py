@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
-from torchcal.calibrate.range_fit import FILLED
+from torchcal.calibrate.range_fit import FILLED, INSIDE, within_limits
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.calibrate.spread import Drawn, drawn_steps, moves_far
 from torchcal.geometry import gaussian, robust
@@ -47,7 +47,8 @@ class _Shown:
     range: Float[Tensor, "h w"]
     """m; NaN where the model is empty."""
     mixed: Bool[Tensor, "h w"]
-    """Where the beam meets the model with a part that is too small to compare, yet not empty."""
+    """Where the beam meets the model with a part that is too small to compare, yet not empty, or so
+    near to the sensor's limits that its noise decides whether anything is measured."""
     spread: Float[Tensor, "h w"]
     """sqrt(H P H^T), what the uncertain parameters add (m)."""
     colour: Float[Tensor, "h w 3"]
@@ -105,10 +106,22 @@ def without_range_error(
 
 
 def _shown_frames(job: Job, scene: Scene, parameters: Parameters, belief: Belief) -> list[_Shown]:
-    frames = predictions(scene.surface, job.sensor, parameters, belief.state, dtype=torch.float32)
+    reaching = _reaching(job.sensor)
+    frames = predictions(scene.surface, reaching, parameters, belief.state, dtype=torch.float32)
     return [
         _shown(scene, parameters, belief, job.sensor, k, frame) for k, frame in enumerate(frames)
     ]
+
+
+def _reaching(sensor: Sensor) -> Sensor:
+    """The sensor with limits as wide as its noise may bring something within its own."""
+    near, far = torch.tensor([sensor.near, sensor.far], dtype=torch.float64)
+    near_sigma, far_sigma = (float(sensor.noise.sigma(limit)) for limit in (near, far))
+    return replace(
+        sensor,
+        near=max(0.0, sensor.near - INSIDE * near_sigma),
+        far=sensor.far + INSIDE * far_sigma,
+    )
 
 
 def _compare_frames(job: Job, shown: list[_Shown], belief: Belief) -> tuple[FrameComparison, ...]:
@@ -132,7 +145,9 @@ def _shown(
     shown = appearance(scene, poses, sensor, synthesis.face)
     return _Shown(
         range=torch.where(modelled, prediction.range, torch.nan),
-        mixed=~modelled & (synthesis.coverage > EMPTY),
+        mixed=torch.where(
+            modelled, ~within_limits(prediction.range, sensor), synthesis.coverage > EMPTY
+        ),
         spread=_spread(scene, parameters, belief, sensor, k, prediction, shown.body),
         colour=shown.colour,
         normal=shown.normal,

@@ -11,7 +11,7 @@ from torchcal.calibrate.observation import Observation
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.model.scene import Surface
-from torchcal.model.sensor import Drift
+from torchcal.model.sensor import Drift, Sensor
 from torchcal.solve.field import SmoothField
 from torchcal.solve.gauss_newton import NormalEquations
 from torchcal.solve.image_equations import RobustImage, normal_equations, robust_image
@@ -23,6 +23,12 @@ INSIDE = 3.0
 to them the noise decides what is measured, and what is measured is not the range on average."""
 UNDECIDED = 0.5
 """Cost of a pixel nearer to the limits: that of one which agrees, on average."""
+
+
+def within_limits(ranges: Float[Tensor, "h w"], sensor: Sensor) -> Bool[Tensor, "h w"]:
+    """Which predicted ranges (m) lie ``INSIDE`` the sensor's limits."""
+    margin = INSIDE * sensor.noise.sigma(ranges)
+    return (ranges > sensor.near + margin) & (ranges < sensor.far - margin)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,11 +86,7 @@ class RangeFit:
         observation, sensor = self.observation, self.observation.sensor
         finite = prediction.range.isfinite() & prediction.jacobian.isfinite().all(-1)
         modelled = finite & (prediction.synthesis.coverage > FILLED)
-        margin = INSIDE * sensor.noise.sigma(prediction.range)
-        inside = (prediction.range > sensor.near + margin) & (
-            prediction.range < sensor.far - margin
-        )
-        compared = observation.measured[k] & modelled & inside
+        compared = observation.measured[k] & modelled & within_limits(prediction.range, sensor)
         # A pixel that the model leaves empty explains no more than one beyond the cut-off.
         empty = self.cutoff**2 / 6.0
         cost = empty + (UNDECIDED - empty) * modelled.double()
