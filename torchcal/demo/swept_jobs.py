@@ -35,6 +35,7 @@ from torchcal.demo.swept_settings import FACTORS, Setting, Tier
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job
+from torchcal.model.range_image import RangeImage
 from torchcal.model.sensor import Drift, Noise, Sensor
 from torchcal.model.world import World, write_world
 from torchcal.model.write_job import write_job
@@ -151,13 +152,17 @@ def _written(folder: Path, tables: dict[str, Any], T: Tensor, *, anywhere: bool)
 
 def _write_arm_job(folder: Path, setting: Setting, side: int, rng: np.random.Generator) -> Tensor:
     """The demo's arm in its cell, its joints off; the poses of its sensor."""
-    sigma = math.radians(setting.joints_deg)
-    job = arm_job(512)
+    job, sensor = arm_job(side=512), swept_sensor(setting, side)
+    frames = (
+        replace(each, image=RangeImage.blank(each.image.name, each.image.file, sensor))
+        for each in job.frames
+    )
     job = replace(
         job,
-        sensor=swept_sensor(setting, side),
+        sensor=sensor,
+        frames=tuple(frames),
         base=prior(0.02, 1.0),
-        joints=dict.fromkeys(JOINTS[1:], sigma),
+        joints=dict.fromkeys(JOINTS[1:], math.radians(setting.joints_deg)),
     )
     trial = draw_trial(job, int(rng.integers(2**31)), 0)
     shutil.copytree(robot_folder("arm"), folder / "arm")
