@@ -28,7 +28,7 @@ check: setup
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 test: check
-	OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n auto --maxprocesses=8
+	OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n auto --maxprocesses=8 --dist loadfile
 
 fmt: setup
 	$(BIN)/ruff format .

@@ -20,9 +20,6 @@ from cylinders.recording import read_views
 from cylinders.shape import find_cylinder
 from cylinders.writing import job_text, urdf_text, write_images, write_tube
 
-SHARED = 0.15
-"""Errors of the robot's poses are alike over such a part (rad) of an image."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
@@ -40,10 +37,8 @@ class Options:
     """Pixels."""
     margin: float = 0.004
     """m: what counts as the side ends so far below the plane of the end."""
-    sigma: float = 0.0001
-    """m: of a pixel."""
-    poses: float = 0.0005
-    """m: what the robot's poses are off by; pixels of one view share it."""
+    sigma: float = 0.0005
+    """m: of a pixel, with what the robot's poses are off by; a single view has 0.05 mm of noise."""
     ruler: float = 0.01
     """m: the places of mount and cylinder are written down in steps of this."""
     protractor: float = 5.0
@@ -82,7 +77,7 @@ def main() -> None:
     text = job_text(
         views,
         optics=optics,
-        noise=(options.sigma, options.poses, SHARED * options.focal),
+        sigma=options.sigma,
         mount=rounded(mount, **steps),
         cylinder=rounded(along_z(middle, axis), **steps),
         believed=(options.ruler, options.protractor),

@@ -87,7 +87,7 @@ def job_text(
     views: Sequence[View],
     *,
     optics: str,
-    noise: tuple[float, float, float],
+    sigma: float,
     mount: Pose,
     cylinder: Pose,
     believed: tuple[float, float],
@@ -98,7 +98,7 @@ def job_text(
     Args:
         views: For the joints of each frame.
         optics: Keys of the sensor.
-        noise: Of a pixel (m), shared with its neighbours (m), and how far that reaches (pixels).
+        sigma: Of a pixel (m).
         mount: T_flange_camera.
         cylinder: T_base_cylinder, its axis along z.
         believed: Sigmas of both (m, degrees).
@@ -127,8 +127,8 @@ urdf = "flange.urdf"
 [sensor]
 link = "flange"
 mount = {_pose_text(mount)}
-{optics}sigma = {noise[0]:g}
-drift = {{ sigma = {noise[1]:g}, pixels = {noise[2]:g} }}
+{optics}sigma = {sigma:g}
+drift = "auto"
 beam = 1
 {frames}
 [unknown.mount]
