@@ -174,3 +174,13 @@ def test_masks_grow_by_a_square(rng, pixels):
     before = mask.clone()
     torch.testing.assert_close(grown(mask, pixels), within.any(0).view(mask.shape))
     torch.testing.assert_close(mask, before)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 8), (8, 1), (2, 2)])
+def test_images_of_a_pixel_or_a_row_are_observed(shape):
+    image = torch.full(shape, 1.0, dtype=torch.float64)
+    lens = Pinhole(width=shape[1], height=shape[0], fx=9.0, fy=9.0, cx=0.0, cy=0.0)
+    job = job_of(image)
+    found = observe(replace(job, sensor=replace(job.sensor, projection=lens)))
+    assert found.range.shape == found.measured.shape == found.sigma.shape == (1, *shape)
+    assert found.measured.all()

@@ -1,6 +1,8 @@
 """A result's folder: what is read is what was written, and decisions are whole or not at all."""
 
 import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 import torch
 from display_scene import calibration, job
 
+from torchcal.calibrate.comparison_files import read_comparison
 from torchcal.calibrate.decisions import Decision
 from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import Status
@@ -178,6 +181,40 @@ def test_folders_that_are_no_result_are_named(folder, spoil, words):
     with pytest.raises(TorchcalError, match=words) as error:
         read_result(folder)
     assert str(folder) in str(error.value)
+
+
+@pytest.mark.parametrize("part", ["world.glb", "added.glb"])
+def test_a_part_that_is_missing_is_named_and_the_model_stays(folder, part):
+    before = (folder / "world.glb").read_bytes()
+    (folder / "model" / part).unlink()
+    with pytest.raises(TorchcalError, match=rf"found no model/{part}"):
+        decide(folder, reject=["all"])
+    assert (folder / "world.glb").read_bytes() == before
+
+
+@pytest.mark.parametrize("extras", [[], None, 3, {DECISIONS: []}, {DECISIONS: 3}])
+def test_extras_of_another_program_are_an_error_and_no_traceback(folder, extras, monkeypatch):
+    module = sys.modules["torchcal.calibrate.result_folder"]
+    monkeypatch.setattr(module, "read_extras", lambda _: extras)
+    with pytest.raises(TorchcalError, match="other contents"):
+        read_result(folder)
+
+
+@pytest.mark.parametrize("content", [b"", b"no arrays"])
+def test_arrays_that_cannot_be_read_are_named(folder, content):
+    file = sorted((folder / "frames").iterdir())[0]
+    file.write_bytes(content)
+    with pytest.raises(TorchcalError, match=file.name):
+        read_comparison(file, "0001")
+
+
+def test_who_decides_at_the_same_time_waits_and_loses_nothing(folder):
+    names = sorted(read_result(folder).transaction.decisions)
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(lambda name: decide(folder, reject=[name]), names))
+    decisions = read_result(folder).transaction.decisions
+    assert set(decisions.values()) == {Decision.REJECTED}
+    assert foreign_file(folder) is None
 
 
 def test_update_lists_proposals_with_evidence_and_decisions(folder, capsys):

@@ -54,6 +54,8 @@ def generate(out: Path, *, tier: Literal["tiny", "small", "full"] = "small", see
         tier: How many and how large.
         seed: Of everything.
     """
+    if out.exists():
+        raise SystemExit(f"{out}: found something there; expected a new folder")
     out.mkdir(parents=True)
     jobs = list(swept_jobs(TIERS[tier], seed))
     truths = {}
@@ -88,6 +90,11 @@ def score_results(folder: Folder, results: Results, *, out: Path | None = None) 
             program's in the table.
         out: Where the section `jobs` is written; None: nowhere.
     """
+    for program in results:
+        if not program.is_dir():
+            raise SystemExit(f"{program}: found no folder; expected one with JOB/result.json")
+    if not (folder / TRUTH).is_file():
+        raise SystemExit(f"{folder}: found no {TRUTH}; expected a folder that generate wrote")
     data = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
     truths = {name: read_truth(folder / TRUTH, each) for name, each in data["truths"].items()}
     scores = {program.name: _scores(program, truths) for program in results}

@@ -12,7 +12,7 @@ import torch
 from torchcal.calibrate.compare import compare
 from torchcal.calibrate.estimate import (
     EXPLAINED_ANYWHERE,
-    agreement,
+    agreement_with,
     belief_after,
     choose_start,
     fit_pixels,
@@ -57,7 +57,7 @@ def _settled_verdicts(looked: Looked, generator: torch.Generator) -> dict[str, O
     refined = fit_pixels(job, scene, parameters, choice.state)
     belief = belief_after(refined, fitted_drift(refined))
     belief, comparisons = compare(job, scene, parameters, belief)
-    if choice.rivals or agreement(comparisons, belief) < EXPLAINED_ANYWHERE:
+    if choice.rivals or agreement_with(comparisons, belief) < EXPLAINED_ANYWHERE:
         return {}
     regions = frame_regions(job, comparisons, correlation_pixels=belief.drift_pixels)
     return object_verdicts(job, comparisons, regions, scene.bodies, {})

@@ -1,6 +1,7 @@
 """The comparison of a frame as a file of compressed arrays; what is compared, to the last bit."""
 
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -8,6 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchcal.calibrate.result import FrameComparison
+from torchcal.errors import TorchcalError
+
+ARRAYS = ("measured", "predicted", "sigma", "label", "body", "colour", "normal", "usable")
 
 
 def write_comparison(comparison: FrameComparison, file: Path) -> None:
@@ -26,9 +30,18 @@ def write_comparison(comparison: FrameComparison, file: Path) -> None:
 
 
 def read_comparison(file: Path, name: str) -> FrameComparison:
-    """The comparison of the frame ``name``; normals are true to a thousandth."""
-    with np.load(file) as data:
-        arrays = {key: torch.from_numpy(data[key]) for key in data.files}
+    """The comparison of the frame ``name``; normals are true to a thousandth.
+
+    Raises:
+        TorchcalError: If the file is missing or is not what ``write_comparison`` wrote.
+    """
+    try:
+        with np.load(file) as data:
+            arrays = {key: torch.from_numpy(data[key]) for key in ARRAYS}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise _damaged(file, f"{type(error).__name__}: {error}") from error
+    if len({array.shape[:2] for array in arrays.values()}) > 1:
+        raise _damaged(file, "arrays of different sizes")
     return FrameComparison(
         name=name,
         measured=arrays["measured"],
@@ -40,6 +53,10 @@ def read_comparison(file: Path, name: str) -> FrameComparison:
         normal=arrays["normal"].float(),
         usable=arrays["usable"],
     )
+
+
+def _damaged(file: Path, found: str) -> TorchcalError:
+    return TorchcalError(f"{file}: found {found}; expected what torchcal calibrate wrote")
 
 
 def _array(tensor: Tensor) -> NDArray:

@@ -38,7 +38,7 @@ from torchcal.calibrate.slots import BASE, MOUNT
 from torchcal.geometry import gaussian
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
-from torchcal.model.sensor import Drift
+from torchcal.model.sensor import Drift, Sensor
 
 FARTHEST = 5.0
 """Prior sigmas: an estimate farther from the nominal state contradicts what the job believes."""
@@ -152,6 +152,7 @@ def belief_after(refined: Refined, slow: Drift) -> Belief:
 
 
 def estimate_of(
+    sensor: Sensor,
     parameters: Parameters,
     belief: Belief,
     choice: Choice | None,
@@ -166,7 +167,7 @@ def estimate_of(
     if choice is None:
         status, message = _status_of_nominal(parameters, belief, comparisons)
     else:
-        status = _status(parameters, belief, choice, comparisons, jacobians)
+        status = _status(sensor, parameters, belief, choice, comparisons, jacobians)
         message = _message(status, len(rivals), belief)
     return Estimate(
         status=status,
@@ -213,13 +214,22 @@ def moved_objects(parameters: Parameters, belief: Belief) -> tuple[str, ...]:
 
 
 def _status(
+    sensor: Sensor,
     parameters: Parameters,
     belief: Belief,
     choice: Choice,
     comparisons: Sequence[FrameComparison],
     jacobians: Tensor,
 ) -> Status:
-    share = agreement(comparisons, belief)
+    # What P adds to sigma' would excuse everything where nothing is told.
+    noise = [
+        torch.hypot(
+            sensor.noise.sigma(c.predicted),
+            torch.full_like(c.predicted, belief.drift_sigma / belief.sigma_scale),
+        )
+        for c in comparisons
+    ]
+    share = agreement(comparisons, noise)
     if not belief.covariance.isfinite().all() or share < choice.least_agreement:
         return Status.FAILED
     moved = parameters.difference(belief.state, parameters.nominal) / parameters.prior_sigma
@@ -231,15 +241,22 @@ def _status(
     return Status.AMBIGUOUS if choice.rivals else Status.CONVERGED
 
 
-def agreement(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
-    """Share of the compared pixels that agree within the declared noise, in the worst frame.
+def agreement_with(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
+    """Share of the compared pixels that agree with a belief, in the worst frame.
 
     The comparison's own sigma' would not do: it is enlarged until it fits the residuals.
     """
+    return agreement(comparisons, [c.sigma / belief.sigma_scale for c in comparisons])
+
+
+def agreement(
+    comparisons: Sequence[FrameComparison], sigmas: Sequence[Float[Tensor, "h w"]]
+) -> float:
+    """Share of the compared pixels that agree within so much (m), in the worst frame."""
     shares = []
-    for c in comparisons:
-        d = ((c.measured - c.predicted) / c.sigma)[c.usable]
-        d = d[d.isfinite()] * belief.sigma_scale
+    for c, sigma in zip(comparisons, sigmas, strict=True):
+        d = ((c.measured - c.predicted) / sigma)[c.usable]
+        d = d[d.isfinite()]
         if d.numel():
             shares.append(float((d.abs() <= AGREEING).double().mean()))
     return min(shares, default=0.0)
@@ -248,7 +265,7 @@ def agreement(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
 def _status_of_nominal(
     parameters: Parameters, belief: Belief, comparisons: Sequence[FrameComparison]
 ) -> tuple[Status, str]:
-    if agreement(comparisons, belief) < EXPLAINED:
+    if agreement_with(comparisons, belief) < EXPLAINED:
         return Status.FAILED, "Nothing was estimated; the nominal pose does not explain the images."
     why = "Nothing was estimated" if parameters.names else "The job declares nothing unknown"
     return Status.CONVERGED, f"{why}: the images were compared at the nominal pose."

@@ -167,6 +167,8 @@ def grown(mask: Bool[Tensor, "frame h w"], pixels: int) -> Bool[Tensor, "frame h
 
 def _bend(images: Tensor) -> Tensor:
     """Size of the second difference along rows; 0 at the ends and beside what is missing."""
+    if images.shape[-1] < 3:
+        return torch.zeros_like(images)
     middle = (images[..., 2:] + images[..., :-2] - 2.0 * images[..., 1:-1]).abs()
     return functional.pad(middle.nan_to_num(0.0), (1, 1))
 

@@ -68,7 +68,7 @@ def calibrate(
         belief, choice = _estimated(job, scene, parameters, generator, bases, stages)
     with stages.stage("compare"):
         belief, comparisons = compare(job, scene, parameters, belief)
-    result = estimate_of(parameters, belief, choice, comparisons)
+    result = estimate_of(job.sensor, parameters, belief, choice, comparisons)
     with stages.stage("update"):
         update = revise(job, scene, parameters, belief, comparisons, result, generator)
     warnings = suspicions(job)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from filelock import FileLock
 from torch import Tensor
 
 from torchcal.calibrate.comparison_files import read_comparison, write_comparison
@@ -37,6 +38,7 @@ OLD_WORLD = "model/world.glb"
 ADDED = "model/added.glb"
 NEW_WORLD = "world.glb"
 ROBOT = "robot.urdf"
+LOCK = "model/update.lock"
 
 _PROJECTIONS: Mapping[str, type[Pinhole] | type[Spherical]] = {
     "pinhole": Pinhole,
@@ -142,8 +144,12 @@ def decide(
     Raises:
         TorchcalError: As ``read_result``; and if there is no such proposal, or one is to be both.
     """
-    transaction = read_transaction(folder).decided(accept=accept, reject=reject)
-    write_corrected(transaction, Path(folder))
+    folder = Path(folder)
+    read_transaction(folder)
+    # Whoever decides at the same time waits, and then decides on top of this.
+    with FileLock(folder / LOCK):
+        transaction = read_transaction(folder).decided(accept=accept, reject=reject)
+        write_corrected(transaction, folder)
     return transaction
 
 
@@ -155,6 +161,7 @@ def _record(result: Result, files: list[str]) -> dict[str, Any]:
         "alpha": result.alpha,
         "projection": _projection_dict(result.projection),
         "bodies": list(result.bodies),
+        "modelled": transaction.world is not None,
         "complete": transaction.world is not None and transaction.world.complete,
         "evidence": {item.name: asdict(item.evidence) for item in transaction.update.added},
         "frames": [
@@ -183,7 +190,9 @@ def _transaction(folder: Path, record: dict[str, Any], result: dict[str, Any]) -
         verdicts={name: _verdict(entry) for name, entry in result["objects"].items()},
         added=_added(folder, record, result),
     )
-    world = _world(folder / OLD_WORLD, complete=record["complete"])
+    world = None
+    if record["modelled"]:
+        world = _world(folder, OLD_WORLD, complete=record["complete"])
     start = Transaction.undecided(record["source"], world, update)
     new = folder / NEW_WORLD
     said = read_extras(new).get(DECISIONS, {}) if new.exists() else {}
@@ -203,8 +212,9 @@ def _verdict(entry: dict[str, Any]) -> ObjectVerdict:
 
 
 def _added(folder: Path, record: dict[str, Any], result: dict[str, Any]) -> tuple[AddedObject, ...]:
-    world = _world(folder / ADDED, complete=False)
-    meshes = {item.name: item.mesh for item in world.objects} if world else {}
+    meshes = {}
+    if result["added"]:
+        meshes = {item.name: item.mesh for item in _world(folder, ADDED, complete=False).objects}
     return tuple(
         AddedObject(
             name=entry["name"],
@@ -216,12 +226,12 @@ def _added(folder: Path, record: dict[str, Any], result: dict[str, Any]) -> tupl
     )
 
 
-def _world(file: Path, *, complete: bool) -> World | None:
-    """A world that ``write_world`` wrote; None where it did not."""
-    if not file.exists():
-        return None
+def _world(folder: Path, name: str, *, complete: bool) -> World:
+    """A world that ``write_world`` wrote."""
+    if not (folder / name).is_file():
+        raise _unreadable(folder, f"no {name}")
     eye = torch.eye(4, dtype=torch.float64)
-    return load_world(file, unit=1.0, T_world_file=eye, complete=complete)
+    return load_world(folder / name, unit=1.0, T_world_file=eye, complete=complete)
 
 
 def _projection_dict(projection: Projection) -> dict[str, Any]:
@@ -243,7 +253,7 @@ def _read_json(folder: Path, name: str) -> dict[str, Any]:
         return json.loads((folder / name).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise _unreadable(folder, f"no {name}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise _unreadable(folder, f"{name}, which is no JSON ({error})") from error
 
 
@@ -252,10 +262,10 @@ def _named_mistakes(folder: Path) -> Iterator[None]:
     """Contents that another program or version wrote are an error that names the folder."""
     try:
         yield
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
         found = f"{type(error).__name__}: {error}"
         raise _unreadable(
-            folder, f"{RECORD} or result.json with other contents ({found})"
+            folder, f"{RECORD}, result.json or {NEW_WORLD} with other contents ({found})"
         ) from error
 
 

@@ -1,6 +1,7 @@
 """``torchcal view``: the operator's view in a browser, until the program is interrupted."""
 
 import importlib.util
+import socket
 import sys
 from contextlib import redirect_stdout
 from functools import partial
@@ -20,6 +21,7 @@ from torchcal.display.view.source import FolderSource, KeptSource, Source
 from torchcal.errors import TorchcalError
 from torchcal.model.read_job import read_job, read_recording
 
+_STREAM = socket.SOCK_STREAM
 FRAMES = "frames.jsonl"
 
 
@@ -31,6 +33,7 @@ def run_view(command: View, out: Console, err: Console) -> int:
         )
     from torchcal.display.view.app import View as Window  # noqa: PLC0415, needs viser
 
+    _check_address(command.host, command.port)
     source = source_of(command, err)
     with redirect_stdout(sys.stderr):  # viser tells its address there, too
         window = Window(source, host=command.host, port=command.port)
@@ -47,6 +50,22 @@ def run_view(command: View, out: Console, err: Console) -> int:
         with redirect_stdout(sys.stderr):
             window.stop()
     return USABLE
+
+
+def _check_address(host: str, port: int) -> None:
+    """Raises unless this machine can listen there, before anything long is done."""
+    expected = "--host and --port of this machine where nobody listens yet"
+    if not host:
+        raise TorchcalError(f"--host: found nothing; expected {expected}")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise TorchcalError(
+            f"--host {host} --port {port}: found {error}; expected {expected}"
+        ) from error
 
 
 def source_of(command: View, err: Console) -> Source:

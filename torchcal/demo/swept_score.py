@@ -44,7 +44,7 @@ class Judged:
     """rad"""
     usable: bool
     found: bool
-    """Usable and right, or rightly not usable where no image can tell the pose."""
+    """Usable and right, or an answer that rightly calls itself unusable where no image can tell."""
     deceived: bool
     """Usable and wrong, by the program's own sigmas where it states any."""
 
@@ -91,7 +91,7 @@ def judged(answer: Answer | None, truth: Truth) -> Judged:
             position=math.inf,
             rotation=math.inf,
             usable=False,
-            found=not truth.observable,
+            found=False,
             deceived=False,
         )
     true = truth.symmetries[:, None] @ truth.Ts_world_sensor

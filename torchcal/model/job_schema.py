@@ -24,6 +24,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Three = tuple[Number, Number, Number]
 Place = tuple[Length, Length, Length]
 Pair = tuple[Number, Number]
+Limits = tuple[Length, Length]
 
 
 def _is_number(value: object) -> bool:
@@ -48,7 +49,7 @@ def _drift_table(value: object) -> object:
     return value
 
 
-def _ascending(limits: Pair) -> Pair:
+def _ascending(limits: Limits) -> Limits:
     if not 0 <= limits[0] < limits[1]:
         raise ValueError
     return limits
@@ -174,7 +175,7 @@ class SensorTable(Table):
         default=0.001,
         description="metres for one unit of an integer image, a number from 1e-9 to 1e6",
     )
-    range: Annotated[Pair, AfterValidator(_ascending)] = Field(
+    range: Annotated[Limits, AfterValidator(_ascending)] = Field(
         description="two numbers [near, far] in metres with 0 <= near < far"
     )
     sigma: Annotated[Three, BeforeValidator(_constant_sigma)] = Field(
@@ -262,8 +263,8 @@ class SearchTable(Table):
     initial: Literal["nominal", "anywhere"] = Field(
         default="nominal", description='"nominal" or "anywhere"'
     )
-    alpha: Positive = Field(
-        default=3.0, description="a number above 0, the factor of eq. 1 and eq. 5"
+    alpha: Annotated[float, Field(strict=True, gt=0, le=1e6)] = Field(
+        default=3.0, description="a number above 0 and at most 1e6, the factor of eq. 1 and eq. 5"
     )
 
 

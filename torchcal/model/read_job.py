@@ -128,7 +128,7 @@ def _read_tables(file: Path) -> JobTable:
         raise JobError(file, "", f"bytes that are not UTF-8 ({error})", "a TOML file") from error
     except RecursionError as error:
         raise JobError(file, "", "tables or lists nested too deeply", "a TOML file") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise JobError(file, "", f"text that is not TOML: {error}", "a TOML file") from error
     return checked(file, _with_preset(raw))
 

@@ -48,6 +48,7 @@ def read_sensor(file: Path, table: SensorTable) -> Sensor:
     _check_preset(file, table)
     _check_optics(file, table)
     _check_sigma(file, table)
+    _check_beam(file, table)
     return Sensor(
         projection=_pinhole(table) if table.model == "pinhole" else _spherical(file, table),
         noise=_noise(table),
@@ -95,6 +96,14 @@ def _check_sigma(file: Path, table: SensorTable) -> None:
                 f"{SensorTable.model_fields['sigma'].description}, above 0 in all of the range"
             )
             raise JobError(file, "sensor.sigma", found, expected)
+
+
+def _check_beam(file: Path, table: SensorTable) -> None:
+    """Around every pixel the square of the beam must not be larger than two images."""
+    longer = max(table.width or table.columns or 1, table.height or table.rows or 1)
+    if table.beam > 2 * longer + 1:
+        expected = f"an odd number of at most {2 * longer + 1} for images of {longer} pixels, or 0"
+        raise JobError(file, "sensor.beam", f"{table.beam}", expected)
 
 
 def _pinhole(table: SensorTable) -> Pinhole:
