@@ -262,9 +262,11 @@ def test_alpha_of_the_job_widens_what_counts_as_agreement():
 
 def test_added_objects_never_take_the_name_of_one_of_the_world():
     taken = (replace(BODIES[0], name="added_1"), *BODIES[1:])
+    wall, *others = world().objects
+    surroundings = World(objects=(replace(wall, name="added_1"), *others))
     frame = noisy(scene(2.9, beam=21), scene())
     proposed = propose_update(
-        job(NOISY, world()), [frame], taken, EYE[None], correlation_pixels=0.0, moved={}
+        job(NOISY, surroundings), [frame], taken, EYE[None], correlation_pixels=0.0, moved={}
     )
     assert [item.name for item in proposed.added] == ["added_1-2"]
 
