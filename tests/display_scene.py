@@ -1,10 +1,12 @@
 """A hand-made calibration for the tests of everything that displays one."""
 
+import dataclasses
 from pathlib import Path
 
 import torch
 import trimesh
 
+from torchcal.calibrate.decisions import Transaction
 from torchcal.calibrate.result import (
     AddedObject,
     Alternative,
@@ -177,3 +179,14 @@ def calibration(
         warnings=(),
         timing={"read": 0.5, "estimate": 12.25},
     )
+
+
+MOVED = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.1, 0.0, 0.2], dtype=torch.float64))
+
+
+def transaction_of_all_kinds() -> Transaction:
+    """The wall has moved, the crate is gone and one thing is new."""
+    whole = calibration()
+    wall = ObjectVerdict(verdict="moved", agree=90, seen_through=5, hidden=2, T_world_object=MOVED)
+    update = dataclasses.replace(whole.update, verdicts={**whole.update.verdicts, "wall": wall})
+    return Transaction.undecided("job.toml", whole.job.world, update)

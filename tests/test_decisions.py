@@ -4,24 +4,17 @@ from dataclasses import replace
 
 import pytest
 import torch
-from display_scene import calibration
+from display_scene import MOVED, transaction_of_all_kinds
 
 from torchcal.calibrate.decisions import PROVENANCE, Decision, Transaction
-from torchcal.calibrate.result import Evidence, ObjectVerdict
+from torchcal.calibrate.result import Evidence
 from torchcal.errors import TorchcalError
-from torchcal.geometry import se3
 from torchcal.model.world import World
-
-MOVED = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.1, 0.0, 0.2], dtype=torch.float64))
 
 
 @pytest.fixture
 def transaction() -> Transaction:
-    """The wall has moved, the crate is gone and one thing is new."""
-    whole = calibration()
-    wall = ObjectVerdict(verdict="moved", agree=90, seen_through=5, hidden=2, T_world_object=MOVED)
-    update = replace(whole.update, verdicts={**whole.update.verdicts, "wall": wall})
-    return Transaction.undecided("job.toml", whole.job.world, update)
+    return transaction_of_all_kinds()
 
 
 def names(world: World) -> list[str]:

@@ -3,6 +3,7 @@
 ``pytest tests/test_fuzzing.py --hypothesis-profile=long`` tries 10,000 of each.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -132,22 +133,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @given(text=broken_jobs())
 def test_a_broken_job_is_read_or_is_one_clear_error(folder: Path, text: str):
-    file = folder / "broken.toml"
-    file.write_text(text, encoding="utf-8", errors="replace")
-    try:
-        read_job(file)
-    except JobError as error:
-        assert_clear(error)
+    assert_read_or_clear(read_job, folder / "broken.toml", text)
 
 
 @given(text=broken_urdfs())
 def test_a_broken_urdf_is_read_or_is_one_clear_error(folder: Path, text: str):
-    file = folder / "broken.urdf"
-    file.write_text(text, encoding="utf-8", errors="replace")
-    try:
-        load_robot(file)
-    except JobError as error:
-        assert_clear(error)
+    assert_read_or_clear(load_robot, folder / "broken.urdf", text)
 
 
 @given(content=st.binary(max_size=200))
@@ -158,6 +149,14 @@ def test_bytes_are_one_clear_error(folder: Path, content: bytes):
         with pytest.raises(JobError) as caught:
             read(file)
         assert_clear(caught.value)
+
+
+def assert_read_or_clear(read: Callable[[Path], object], file: Path, text: str) -> None:
+    file.write_text(text, encoding="utf-8", errors="replace")
+    try:
+        read(file)
+    except JobError as error:
+        assert_clear(error)
 
 
 def assert_clear(error: JobError) -> None:

@@ -12,7 +12,6 @@ from torchcal.calibrate.compare import Belief, compare_as_believed
 from torchcal.calibrate.moves import Looked, find_moved, suspects
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
-from torchcal.calibrate.update import frame_regions
 from torchcal.geometry.projection import Pinhole
 
 CAMERA = Pinhole(width=96, height=72, fx=82.0, fy=82.0, cx=47.5, cy=35.5)
@@ -39,15 +38,7 @@ def looked(real: dict, **changes) -> Looked:
         drift_pixels=0.0,
     )
     comparisons = compare_as_believed(job, scene, parameters, belief)
-    regions = frame_regions(job, comparisons, correlation_pixels=0.0)
-    return Looked(
-        job=job,
-        scene=scene,
-        parameters=parameters,
-        belief=belief,
-        comparisons=comparisons,
-        regions=regions,
-    )
+    return Looked.of(job, scene, parameters, belief, comparisons)
 
 
 def names(seen: Looked) -> list[str]:

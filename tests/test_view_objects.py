@@ -6,29 +6,23 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from display_scene import calibration, comparison
+from display_scene import MOVED, calibration, comparison, transaction_of_all_kinds
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from torchcal.calibrate.decisions import Transaction
 from torchcal.calibrate.kept_result import kept
-from torchcal.calibrate.result import ObjectVerdict, Status
+from torchcal.calibrate.result import Status
 from torchcal.display.view import words
 from torchcal.display.view.objects import GONE, NEW, for_browser, shown_objects
 from torchcal.display.view.settings import Settings, object_names, shoulder_look
 from torchcal.geometry import se3
 from torchcal.model.meshes import face_colours, painted
 
-MOVED = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.1, 0.0, 0.2], dtype=torch.float64))
-
 
 @pytest.fixture
 def transaction() -> Transaction:
-    """The wall has moved, the crate is gone and one thing is new."""
-    whole = calibration()
-    wall = ObjectVerdict(verdict="moved", agree=90, seen_through=5, hidden=2, T_world_object=MOVED)
-    update = replace(whole.update, verdicts={**whole.update.verdicts, "wall": wall})
-    return Transaction.undecided("job.toml", whole.job.world, update)
+    return transaction_of_all_kinds()
 
 
 def drawn(transaction: Transaction) -> list[tuple]:

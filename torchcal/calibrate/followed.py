@@ -14,6 +14,7 @@ from torchcal.calibrate.live_frame import only_frame, usable_frame
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import FrameComparison
+from torchcal.calibrate.slots import BASE
 from torchcal.errors import JobError, TorchcalError
 from torchcal.geometry import gaussian
 from torchcal.model.job import Frame, Job
@@ -77,7 +78,7 @@ class Followed:
     def place(self, passed: Passed) -> FramePlace:
         """Where everything was."""
         file = self.recording.files[passed.index]
-        parameters = self.parameters.at(file.blank())
+        parameters = self._parameters_at(file.blank())
         Ts = parameters.mechanism.at(passed.state).Ts_world_body[0].double().cpu()
         J = parameters.pose_jacobians(passed.state)[0]
         bodies = zip(self.scene.bodies, Ts, strict=True)
@@ -91,11 +92,14 @@ class Followed:
     def comparison(self, passed: Passed) -> FrameComparison:
         """The frame against the model as it was believed to be; blank where it cannot be read."""
         frame = self._frame(passed.index)
-        parameters = self.parameters.at(frame)
+        parameters = self._parameters_at(frame)
         job = replace(self.job, frames=(frame,))
         belief = nominal_belief(job, parameters)
         belief = replace(belief, state=passed.state, covariance=passed.covariance)
         return compare(job, self.scene, parameters, belief)[1][0]
+
+    def _parameters_at(self, frame: Frame) -> Parameters:
+        return self.parameters.at(frame, self.parameters.nominal[BASE])
 
     def _frame(self, index: int) -> Frame:
         blank = self.recording.files[index].blank()

@@ -20,6 +20,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.regions import Region, interior
 from torchcal.calibrate.result import FrameComparison
+from torchcal.calibrate.update import frame_regions
 from torchcal.geometry import gaussian, robust, se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.model.job import Job, PosePrior
@@ -69,6 +70,25 @@ class Looked:
     """In true ranges."""
     regions: tuple[tuple[Region, ...], ...]
     """Of each frame."""
+
+    @staticmethod
+    def of(
+        job: Job,
+        scene: Scene,
+        parameters: Parameters,
+        belief: Belief,
+        comparisons: tuple[FrameComparison, ...],
+    ) -> "Looked":
+        """With the regions that differ beyond chance; the comparisons are in true ranges."""
+        regions = frame_regions(job, comparisons, correlation_pixels=belief.drift_pixels)
+        return Looked(
+            job=job,
+            scene=scene,
+            parameters=parameters,
+            belief=belief,
+            comparisons=comparisons,
+            regions=regions,
+        )
 
 
 def find_moved(looked: Looked, generator: torch.Generator) -> dict[str, Float[Tensor, "4 4"]]:

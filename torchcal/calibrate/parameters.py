@@ -81,14 +81,18 @@ class Parameters:
         state[..., BASE, :, :] = Ts_world_base
         return state
 
-    def at(self, frame: Frame) -> "Parameters":
-        """The same of another frame, which takes the place of the only one."""
+    def at(self, frame: Frame, T_world_first: Float[Tensor, "4 4"]) -> "Parameters":
+        """The same of another frame, which takes the place of the only one.
+
+        Args:
+            frame: What it has no joints or no pose of stays as it is.
+            T_world_first: Nominal pose of the first frame; matters without a robot.
+        """
         mechanism = self.mechanism
         if frame.joints is not None:
             mechanism = replace(mechanism, joints=frame.joints.to(mechanism.joints)[None])
         if frame.T_world_sensor is not None:
-            T_first = self.nominal[BASE]
-            T = se3.inverse(T_first) @ frame.T_world_sensor.to(T_first)
+            T = se3.inverse(T_world_first) @ frame.T_world_sensor.to(T_world_first)
             mechanism = replace(mechanism, Ts_first_frame=T[None])
         return replace(self, mechanism=mechanism)
 

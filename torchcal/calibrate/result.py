@@ -246,13 +246,3 @@ class Calibration:
     """Seconds for each stage."""
     seed: int | None = None
     """Of the generator that starts were drawn with; None where nobody knows."""
-
-    @property
-    def Ts_world_object(self) -> dict[str, Float[Tensor, "4 4"]]:
-        """Where objects are that need not be where the model has them: estimated or moved."""
-        moved = {
-            name: verdict.T_world_object
-            for name, verdict in self.update.verdicts.items()
-            if verdict.T_world_object is not None
-        }
-        return {**self.estimate.Ts_world_object, **moved}

@@ -145,7 +145,7 @@ def decide(
         TorchcalError: As ``read_result``; and if there is no such proposal, or one is to be both.
     """
     folder = Path(folder)
-    read_transaction(folder)
+    _read_json(folder, RECORD)  # where there is no result there is no place for a lock
     # Whoever decides at the same time waits, and then decides on top of this.
     with FileLock(folder / LOCK):
         transaction = read_transaction(folder).decided(accept=accept, reject=reject)

@@ -16,7 +16,7 @@ from torchcal.calibrate.compare import Belief, compare_as_believed, without_rang
 from torchcal.calibrate.moves import Looked, find_moved
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.result import Estimate, FrameComparison, ObjectVerdict, Update
-from torchcal.calibrate.update import added_objects, frame_regions, object_verdicts
+from torchcal.calibrate.update import added_objects, object_verdicts
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene, without_bodies
 
@@ -45,7 +45,7 @@ def revise(
         generator: Draws where moved objects may stand.
     """
     true = _in_true_ranges(comparisons, estimate)
-    looked = _look(job, scene, parameters, belief, true)
+    looked = Looked.of(job, scene, parameters, belief, true)
     known = {name: estimate.Ts_world_object[name] for name in estimate.moved}
     first = with_absent(looked, _verdicts(looked, known), generator)
     places = find_moved(looked, generator)
@@ -69,24 +69,6 @@ def _in_true_ranges(
     return tuple(
         without_range_error(each, estimate.range_offset, estimate.range_scale)
         for each in comparisons
-    )
-
-
-def _look(
-    job: Job,
-    scene: Scene,
-    parameters: Parameters,
-    belief: Belief,
-    comparisons: tuple[FrameComparison, ...],
-) -> Looked:
-    regions = frame_regions(job, comparisons, correlation_pixels=belief.drift_pixels)
-    return Looked(
-        job=job,
-        scene=scene,
-        parameters=parameters,
-        belief=belief,
-        comparisons=comparisons,
-        regions=regions,
     )
 
 
@@ -126,4 +108,4 @@ def _corrected(
     parameters = Parameters.of(job, scene)
     comparisons = compare_as_believed(job, scene, parameters, looked.belief)
     true = _in_true_ranges(comparisons, estimate)
-    return _look(job, scene, parameters, looked.belief, true)
+    return Looked.of(job, scene, parameters, looked.belief, true)

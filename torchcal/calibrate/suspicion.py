@@ -18,7 +18,9 @@ BEYOND = 1e-6
 
 def suspicions(job: Job) -> tuple[str, ...]:
     """Warnings about units, joints and images that repeat."""
-    return (*_sizes(job), *_limits(job), *_still_joints(job), *_repeated(job))
+    repeated = _repeated(job)
+    still = () if repeated else _still_joints(job)
+    return (*_sizes(job), *_limits(job), *still, *repeated)
 
 
 def _sizes(job: Job) -> tuple[str, ...]:
@@ -71,28 +73,21 @@ def _unit(robot: Robot, index: int) -> str:
 
 
 def _still_joints(job: Job) -> tuple[str, ...]:
-    """Joints that never move in a recording of several images that differ."""
+    """Joints that never move in a recording of several images."""
     joints = [frame.joints for frame in job.frames if frame.joints is not None]
     if len(joints) < 2 or joints[0].numel() == 0:
         return ()
-    if any(not torch.equal(each, joints[0]) for each in joints) or len(_repeats(job)) > 0:
+    if any(not torch.equal(each, joints[0]) for each in joints):
         return ()
     return (f"The joints are the same in all {len(joints)} frames: were they recorded?",)
 
 
 def _repeated(job: Job) -> tuple[str, ...]:
-    return tuple(
-        f"The images of the frames {one} and {other} are the same, pixel by pixel."
-        for one, other in _repeats(job)
-    )
-
-
-def _repeats(job: Job) -> list[tuple[str, str]]:
     """Frames whose image is that of the frame before."""
     images = [frame.image for frame in job.frames]
-    return [
-        (one.name, other.name)
+    return tuple(
+        f"The images of the frames {one.name} and {other.name} are the same, pixel by pixel."
         for one, other in itertools.pairwise(images)
         if one.range.shape == other.range.shape
         and torch.equal(one.range.nan_to_num(), other.range.nan_to_num())
-    ]
+    )

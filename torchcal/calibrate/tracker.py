@@ -31,7 +31,7 @@ from torchcal.calibrate.slots import BASE
 from torchcal.calibrate.tracked import Tracked, TrackStatus
 from torchcal.calibrate.wander import Wander, own_error, usually_unsure
 from torchcal.errors import TorchcalError
-from torchcal.geometry import gaussian, se3
+from torchcal.geometry import gaussian
 from torchcal.model.job import Frame, Job
 from torchcal.model.precision import frame_in_double, job_in_double
 from torchcal.model.scene import Scene
@@ -123,7 +123,7 @@ class Tracker:
             return self.skip(frame.image.name, usable)
         anywhere = self.job.initial == "anywhere"
         begun = self._located(usable) if anywhere else self
-        expecting = begun._expecting(begun._placed(usable))
+        expecting = begun._expecting(begun.parameters.at(usable, begun.T_first))
         alone = replace(begun.job, frames=(usable,))
         fit = FrameFit.of(alone, self.scene, expecting._wide(), self.trust or Trust())
         before = self if anywhere else expecting
@@ -180,16 +180,6 @@ class Tracker:
             state=state,
             covariance=self.covariance * kept[:, None] * kept + torch.diag(fresh),
         )
-
-    def _placed(self, frame: Frame) -> Parameters:
-        """The parameters of one frame, with the kinematics where it was taken."""
-        mechanism = self.parameters.mechanism
-        if frame.joints is not None:
-            mechanism = replace(mechanism, joints=frame.joints.to(mechanism.joints)[None])
-        if frame.T_world_sensor is not None:
-            T = se3.inverse(self.T_first) @ frame.T_world_sensor.to(self.T_first)
-            mechanism = replace(mechanism, Ts_first_frame=T[None])
-        return replace(self.parameters, mechanism=mechanism)
 
     @property
     def _bump(self) -> Tensor:

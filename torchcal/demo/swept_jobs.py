@@ -37,7 +37,7 @@ from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job
 from torchcal.model.range_image import RangeImage
 from torchcal.model.sensor import Drift, Noise, Sensor
-from torchcal.model.world import World, write_world
+from torchcal.model.world import World, WorldObject, write_world
 from torchcal.model.write_job import write_job
 
 FIELD_OF_VIEW = math.radians(60.0)
@@ -133,21 +133,22 @@ def _write_room_job(
     image = raycast.measure(raycast.predict(scene, sensor.projection, sensor.beam), sensor, rng)
     np.save(folder / "0001.npy", _spoilt(image, setting, rng).astype(np.float32))
     write_world(room.world, folder / "room.glb")
-    frame: dict[str, Any] = {"depth": "0001.npy"}
+    write_job(folder / "job.toml", _room_tables(setting, sensor, T_world_sensor, rng))
+    return room, T_world_sensor
+
+
+def _room_tables(
+    setting: Setting, sensor: Sensor, T_world_sensor: Tensor, rng: np.random.Generator
+) -> dict[str, Any]:
     tables: dict[str, Any] = {"world": {"model": "room.glb"}, "sensor": _sensor_table(sensor)}
     if setting.start is None:
-        return room, _written(folder, tables | {"frame": [frame]}, T_world_sensor, anywhere=True)
+        tables["frame"] = [{"depth": "0001.npy"}]
+        tables["unknown"] = {"base": _sigmas((1.0, 90.0))}
+        return tables | {"search": {"initial": "anywhere"}}
     nominal = T_world_sensor @ _motion(setting.start, rng)
-    tables["frame"] = [frame | {"pose": _pose_table(nominal)}]
+    tables["frame"] = [{"depth": "0001.npy", "pose": _pose_table(nominal)}]
     tables["unknown"] = {"base": _sigmas(setting.start)}
-    return room, _written(folder, tables, T_world_sensor, anywhere=False)
-
-
-def _written(folder: Path, tables: dict[str, Any], T: Tensor, *, anywhere: bool) -> Tensor:
-    if anywhere:
-        tables |= {"unknown": {"base": _sigmas((1.0, 90.0))}, "search": {"initial": "anywhere"}}
-    write_job(folder / "job.toml", tables)
-    return T
+    return tables
 
 
 def _write_arm_job(folder: Path, setting: Setting, side: int, rng: np.random.Generator) -> Tensor:
@@ -202,7 +203,9 @@ def _room(setting: Setting, rng: np.random.Generator) -> Room:
     return symmetric_room(rng, setting.folds) if setting.folds > 1 else drawn_room(rng)
 
 
-def _real_objects(setting: Setting, model: World, rng: np.random.Generator) -> tuple:
+def _real_objects(
+    setting: Setting, model: World, rng: np.random.Generator
+) -> tuple[WorldObject, ...]:
     """What is there: the model without its last boxes, and boxes that nobody drew."""
     there = model.objects[: len(model.objects) - setting.missing]
     return (*there, *drawn_boxes(rng, setting.extra, name="extra"))
