@@ -1,6 +1,7 @@
 """What one frame says of the parameters: quick fits of rays, then the exact image once."""
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -36,7 +37,7 @@ WIDTH = 128
 """Images are averaged to about so many pixels along their longer side."""
 LEAST_WHOLE = 0.5
 """Share of the blocks that must be whole before those with missing pixels are left out."""
-CLOSE = 0.3
+CLOSE = 0.5
 """A step that changes the blocks by less than this part of their sigma (rms) is the last."""
 STEPS = 6
 """Most for each cut-off."""
@@ -122,9 +123,10 @@ class FrameFit:
         """Where rays lead from a state within a few pixels of the coarse image."""
         rays = _Rays(fit=replace(self.fit, observation=self.coarse, drift=None))
         config = self._steps(self.coarse)
-        config = replace(config, trusted=config.tolerance)  # the exact image is looked at anyway
-        for cutoff in (rays.cutoff(state), *CUTOFFS):
-            state = rays.fitted(state, cutoff, config)
+        # Each fit need only lead to where the next begins; after the last is the exact image.
+        for cutoff, following in pairwise((rays.cutoff(state), *CUTOFFS, CUTOFFS[-1])):
+            near = config.tolerance * following / CUTOFFS[-1]
+            state = rays.fitted(state, cutoff, replace(config, tolerance=near, trusted=near))
         return state
 
     def told(self, state: Float[Tensor, "slot 4 4"], share: float) -> Told:
