@@ -13,6 +13,7 @@ import torch
 from display_scene import calibration
 from PIL import Image
 
+from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import Calibration, Evidence, ObjectVerdict, Status
 from torchcal.display import report as reports
 from torchcal.display.report import FramePictures, report
@@ -151,8 +152,13 @@ def test_proposals_of_a_result_that_cannot_be_used_come_with_a_warning():
     assert warning not in rendered()
 
 
+def test_the_report_says_how_to_decide():
+    assert "torchcal update DIR --accept NAME --reject NAME" in rendered()
+    assert "torchcal view DIR" in rendered()
+
+
 def test_a_moved_object_says_how_far_and_what_speaks_against_it():
-    (row,) = [each for each in changes(moved()) if each.name == "crate"]
+    (row,) = [each for each in changes(kept(moved()).transaction) if each.name == "crate"]
     assert row.evidence == Evidence(supporting=1234, contradicting=56, hidden=7)
     assert row.details == "30.0 mm and 5.73° away from where the model has it"
     assert row.share == pytest.approx(100 * 1234 / 1290)

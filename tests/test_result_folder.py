@@ -15,10 +15,11 @@ from torchcal.calibrate.comparison_files import read_comparison
 from torchcal.calibrate.decisions import Decision
 from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import Status
-from torchcal.calibrate.result_folder import DECISIONS, decide, read_result
+from torchcal.calibrate.result_folder import DECISIONS, read_result
 from torchcal.cli.main import main
 from torchcal.cli.output import foreign_file
 from torchcal.cli.result_files import write_results
+from torchcal.display.decided import decide
 from torchcal.errors import TorchcalError
 from torchcal.geometry.projection import Spherical
 from torchcal.model.robot import load_robot

@@ -10,9 +10,10 @@ from rich.text import Text
 
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.result import Change, Status
-from torchcal.calibrate.result_folder import NEW_WORLD, decide, read_status, read_transaction
+from torchcal.calibrate.result_folder import NEW_WORLD, read_status, read_transaction
 from torchcal.cli.commands import NOT_USABLE, USABLE, line, print_json
 from torchcal.cli.options import Update
+from torchcal.display.decided import decide
 
 STYLES: dict[Decision, str] = {
     Decision.PROPOSED: "yellow",

@@ -5,18 +5,16 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
+from torchcal.calibrate.decisions import Transaction
 from torchcal.calibrate.result import Calibration, PixelClass, Status
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
+from torchcal.display.decided import changes_section
 from torchcal.display.figures import SHOWN_AS, class_counts
 from torchcal.display.legend import hybrid_swatch
 from torchcal.display.report_rows import (
-    AGAINST,
-    FOR,
     chance_words,
-    changes,
     decimals,
     glance,
     next_view_rows,
@@ -25,6 +23,7 @@ from torchcal.display.report_rows import (
     sigma_words,
 )
 from torchcal.display.summary import corrections, distance_words, next_view_words, settings
+from torchcal.display.templates import filled
 
 MOST_PICTURES = 24
 """More frames than this make a file too large to send: the worst ones are shown."""
@@ -69,17 +68,14 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
         calibration: The answer.
         pictures: The figures of each frame, in the order of ``calibration.comparisons``.
     """
-    environment = Environment(
-        loader=PackageLoader("torchcal.display", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     estimate = calibration.estimate
     here = estimate.Ts_world_sensor[0]
     frames = _sections(calibration, pictures)
-    return environment.get_template("report.html.j2").render(
+    transaction = Transaction.undecided(
+        calibration.job.file.name, calibration.job.world, calibration.update
+    )
+    return filled(
+        "report.html.j2",
         calibration=calibration,
         estimate=estimate,
         headline=HEADLINES[estimate.status],
@@ -99,9 +95,7 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
             (each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each], _swatch(each))
             for each in SHOWN_AS
         ],
-        changes=changes(calibration),
-        supporting=FOR,
-        contradicting=AGAINST,
+        changes=changes_section(transaction, estimate.status),
         objects=objects(calibration),
         alpha=calibration.job.alpha,
         chance=chance_words(calibration.job.alpha),

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.parameters import parameter_unit
 from torchcal.calibrate.result import AddedObject, Calibration, Change, Evidence, ObjectVerdict
 from torchcal.display.summary import MILLI, SHOWN_UNITS, distance_words
@@ -34,6 +35,7 @@ class ChangeRow:
 
     change: Change
     name: str
+    decision: Decision
     evidence: Evidence
     share: float
     """Percent of the pixels that say anything which speak for it."""
@@ -51,21 +53,22 @@ class SigmaRow:
     then: float
 
 
-def changes(calibration: Calibration) -> list[ChangeRow]:
-    """Every proposed change of the model."""
-    update = calibration.update
+def changes(transaction: Transaction) -> list[ChangeRow]:
+    """Every proposed change of the model, and what was decided."""
+    update = transaction.update
     added = {item.name: item for item in update.added}
     rows = []
     for proposal in update.proposals:
         if proposal.change == Change.ADD:
             details = added_words(added[proposal.name])
         else:
-            details = _moved_words(calibration, proposal.name)
+            details = _moved_words(transaction, proposal.name)
         told = proposal.evidence.supporting + proposal.evidence.contradicting
         rows.append(
             ChangeRow(
                 change=proposal.change,
                 name=proposal.name,
+                decision=transaction.decisions[proposal.name],
                 evidence=proposal.evidence,
                 share=100.0 * proposal.evidence.supporting / max(1, told),
                 details=details,
@@ -92,8 +95,8 @@ def added_words(item: AddedObject) -> str:
 
 def glance(calibration: Calibration) -> list[tuple[str, str]]:
     """The answer in a few figures, each with what it is a figure of."""
-    found = changes(calibration)
-    counts = [sum(row.change == change for row in found) for change in Change]
+    found = calibration.update.proposals
+    counts = [sum(each.change == change for each in found) for change in Change]
     words = [f"{n} to {change.value}" for n, change in zip(counts, Change, strict=True) if n]
     open_ends = len(calibration.estimate.unobservable)
     return [
@@ -146,10 +149,10 @@ def _worst_pose(calibration: Calibration) -> str:
     return sigma_words((max(each[0] for each in sigmas), max(each[1] for each in sigmas)))
 
 
-def _moved_words(calibration: Calibration, name: str) -> str:
+def _moved_words(transaction: Transaction, name: str) -> str:
     """How far an object is from where the model has it; empty for one that is gone."""
-    job, now = calibration.job, calibration.update.verdicts[name].T_world_object
-    if now is None or job.world is None:
+    world, now = transaction.world, transaction.update.verdicts[name].T_world_object
+    if now is None or world is None:
         return ""
-    (before,) = (item.T_world_object for item in job.world.objects if item.name == name)
+    (before,) = (item.T_world_object for item in world.objects if item.name == name)
     return f"{distance_words(before, now)} from where the model has it"
