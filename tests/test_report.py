@@ -21,10 +21,10 @@ from torchcal.display.report_rows import (
     added_words,
     chance_words,
     changes,
-    decimals,
     next_view_rows,
     objects,
 )
+from torchcal.display.summary import decimals
 from torchcal.geometry import se3
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

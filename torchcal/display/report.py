@@ -12,17 +12,17 @@ from torchcal.calibrate.result import Calibration, PixelClass, Status
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.decided import changes_section
 from torchcal.display.figures import SHOWN_AS, class_counts
+from torchcal.display.job_settings import settings
 from torchcal.display.legend import hybrid_swatch
 from torchcal.display.report_rows import (
     chance_words,
-    decimals,
     glance,
     next_view_rows,
     objects,
     pose_sigma,
     sigma_words,
 )
-from torchcal.display.summary import corrections, distance_words, next_view_words, settings
+from torchcal.display.summary import corrections, decimals, distance_words, next_view_words
 from torchcal.display.templates import filled
 
 MOST_PICTURES = 24

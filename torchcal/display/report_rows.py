@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.parameters import parameter_unit
 from torchcal.calibrate.result import AddedObject, Calibration, Change, Evidence, ObjectVerdict
-from torchcal.display.summary import MILLI, SHOWN_UNITS, distance_words
+from torchcal.display.summary import (
+    MILLI,
+    SHOWN_UNITS,
+    centre_pose,
+    decimals,
+    distance_words,
+    size_words,
+)
 
 MOST_LEFT = 8
 """Parameters of the next view that are listed: those that it would tell most about."""
@@ -87,10 +94,10 @@ def objects(calibration: Calibration) -> list[tuple[str, ObjectVerdict]]:
 
 def added_words(item: AddedObject) -> str:
     """Size, place and frames of an added object."""
-    size = " × ".join(f"{value:.3f}" for value in item.mesh.extents)
     centre = ", ".join(f"{value:.3f}" for value in item.mesh.bounds.mean(axis=0))
     frames = ", ".join(item.frames)
-    return f"{size} m along the world’s axes, centre ({centre}) m, seen in {frames}"
+    size = size_words(item.mesh.extents)
+    return f"{size} along the world’s axes, centre ({centre}) m, seen in {frames}"
 
 
 def glance(calibration: Calibration) -> list[tuple[str, str]]:
@@ -121,11 +128,6 @@ def next_view_rows(calibration: Calibration) -> list[SigmaRow]:
     return sorted(rows, key=lambda row: row.then / row.now)[:MOST_LEFT]
 
 
-def decimals(sigma: float) -> int:
-    """So many that a standard deviation shows two digits: what it is of deserves no more."""
-    return min(9, max(0, 1 - math.floor(math.log10(sigma)))) if sigma > 0.0 else 3
-
-
 def chance_words(alpha: float) -> str:
     """The share of pixels that differ by chance alone where the model is right."""
     return f"{100.0 * math.erfc(alpha / math.sqrt(2.0)):.2g} %"
@@ -140,7 +142,8 @@ def pose_sigma(calibration: Calibration, index: int) -> tuple[float, float]:
 
 def sigma_words(sigma: tuple[float, float]) -> str:
     """Standard deviations (mm, mrad) with their units."""
-    return f"{sigma[0]:.2f} mm, {sigma[1]:.2f} mrad"
+    metres, radians = (f"{each:.{decimals(each)}f}" for each in sigma)
+    return f"{metres} mm, {radians} mrad"
 
 
 def _worst_pose(calibration: Calibration) -> str:
@@ -154,5 +157,6 @@ def _moved_words(transaction: Transaction, name: str) -> str:
     world, now = transaction.world, transaction.update.verdicts[name].T_world_object
     if now is None or world is None:
         return ""
-    (before,) = (item.T_world_object for item in world.objects if item.name == name)
-    return f"{distance_words(before, now)} from where the model has it"
+    (item,) = (each for each in world.objects if each.name == name)
+    at, before = centre_pose(item.mesh).to(now), item.T_world_object.to(now)
+    return f"{distance_words(before @ at, now @ at)} from where the model has it"

@@ -1,0 +1,40 @@
+"""What the terminal shows: as many digits as the sigmas deserve, and how to read the axes."""
+
+import io
+import re
+from dataclasses import replace
+
+from display_scene import calibration
+from rich.console import Console
+
+from torchcal.calibrate.result import Calibration
+from torchcal.cli.tables import calibration_view
+from torchcal.display.summary import OWN_AXES
+
+
+def shown(found: Calibration) -> str:
+    console = Console(width=200, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(calibration_view(found))
+    return capture.get()
+
+
+def test_a_small_sigma_is_not_shown_as_none():
+    found = calibration()
+    sure = replace(found.estimate, pose_covariances=1e-6 * found.estimate.pose_covariances)
+    text = shown(replace(found, estimate=sure))
+    assert not re.search(r" 0\.0+ (mm|°)", text)
+    assert re.search(r"\+9\.9980 mm │ +0\.0010 mm │", text)
+
+
+def test_a_small_addition_has_a_size():
+    found = calibration()
+    (added,) = found.update.added
+    mesh = added.mesh.copy()
+    mesh.apply_scale(0.01)
+    update = replace(found.update, added=(replace(added, mesh=mesh),))
+    assert "0.0020 × 0.0030 × 0.0040 m" in shown(replace(found, update=update))
+
+
+def test_rows_of_a_pose_say_whose_axes_they_are_of():
+    assert OWN_AXES in shown(calibration())
