@@ -4,12 +4,17 @@ import io
 import re
 from dataclasses import replace
 
+import pytest
 from display_scene import calibration
+from PIL import Image
 from rich.console import Console
 
-from torchcal.calibrate.result import Calibration
+from torchcal.calibrate.kept_result import kept
+from torchcal.calibrate.result import Calibration, ObjectVerdict
 from torchcal.cli.tables import calibration_view
+from torchcal.display.report import FramePictures, report
 from torchcal.display.summary import OWN_AXES
+from torchcal.display.view.words import object_words
 
 
 def shown(found: Calibration) -> str:
@@ -38,3 +43,15 @@ def test_a_small_addition_has_a_size():
 
 def test_rows_of_a_pose_say_whose_axes_they_are_of():
     assert OWN_AXES in shown(calibration())
+
+
+@pytest.mark.parametrize(("pixels", "words"), [(0, "unseen"), (10, "hardly seen")])
+def test_what_was_seen_a_little_is_not_called_unseen(pixels, words):
+    found = calibration()
+    far = ObjectVerdict(verdict="unseen", agree=pixels, seen_through=0, hidden=5)
+    found = replace(found, update=replace(found.update, verdicts={"far": far}))
+    picture = Image.new("RGB", (8, 6))
+    pictures = FramePictures(hybrid=picture, comparison=picture)
+    assert re.search(rf"far +│ +{words} │ +{pixels} │", shown(found))
+    assert f">{words}</td>" in report(found, 2 * [pictures])
+    assert f": {words}. {pixels} pixels agree" in object_words("far", kept(found).transaction)

@@ -138,7 +138,7 @@ class ObjectVerdict:
     """What the images say of one object of the world."""
 
     verdict: str
-    """"agrees", "moved", "removed" or "unseen"."""
+    """"agrees", "moved", "removed", or "unseen": too few pixels show it or see through it."""
     agree: int
     seen_through: int
     hidden: int

@@ -20,6 +20,7 @@ from torchcal.calibrate.result import (
 )
 from torchcal.display.figures import class_counts
 from torchcal.display.report import HEADLINES, agreement
+from torchcal.display.report_rows import verdict_words
 from torchcal.display.summary import (
     SHOWN_UNITS,
     Correction,
@@ -120,7 +121,7 @@ def _object_table(calibration: Calibration) -> Table:
     for name, found in calibration.update.verdicts.items():
         numbers = (f"{count:,}" for count in (found.agree, found.seen_through, found.hidden))
         style = STYLES.get(found.verdict)
-        table.add_row(escape(name), Text(found.verdict, style=style or ""), *numbers)
+        table.add_row(escape(name), Text(verdict_words(found), style=style or ""), *numbers)
     for item in calibration.update.added:
         size = size_words(item.mesh.extents)
         table.add_row(escape(item.name), Text("added", style="cyan"), size, "–", "–")

@@ -9,6 +9,7 @@ from PIL import Image
 
 from torchcal.calibrate.decisions import Transaction
 from torchcal.calibrate.result import Calibration, PixelClass, Status
+from torchcal.calibrate.update import LEAST_EVIDENCE
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.decided import changes_section
 from torchcal.display.figures import SHOWN_AS, class_counts
@@ -21,6 +22,7 @@ from torchcal.display.report_rows import (
     objects,
     pose_sigma,
     sigma_words,
+    verdict_words,
 )
 from torchcal.display.summary import corrections, decimals, distance_words, next_view_words
 from torchcal.display.templates import filled
@@ -97,6 +99,8 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
         ],
         changes=changes_section(transaction, estimate.status),
         objects=objects(calibration),
+        verdict_words=verdict_words,
+        least_evidence=LEAST_EVIDENCE,
         alpha=calibration.job.alpha,
         chance=chance_words(calibration.job.alpha),
         settings=settings(calibration.job),

@@ -92,6 +92,12 @@ def objects(calibration: Calibration) -> list[tuple[str, ObjectVerdict]]:
     )
 
 
+def verdict_words(verdict: ObjectVerdict) -> str:
+    """A verdict as a person reads it: what was seen a little is not called unseen."""
+    seen = verdict.agree + verdict.seen_through
+    return "hardly seen" if verdict.verdict == "unseen" and seen > 0 else verdict.verdict
+
+
 def added_words(item: AddedObject) -> str:
     """Size, place and frames of an added object."""
     centre = ", ".join(f"{value:.3f}" for value in item.mesh.bounds.mean(axis=0))

@@ -10,6 +10,7 @@ from torchcal.calibrate.result import Change, FrameComparison, PixelClass, Propo
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.figures import SHOWN_AS, class_counts
 from torchcal.display.report import HEADLINES, agreement
+from torchcal.display.report_rows import verdict_words
 from torchcal.display.view.shapes import SIGMAS, ellipsoid
 
 VISIBLE = 0.01
@@ -62,7 +63,7 @@ def object_words(name: str, transaction: Transaction) -> str:
         whose = "part of the robot" if name.startswith("robot/") else "nothing is said of it here"
         return f"**{_plain(name)}**: {whose}."
     return (
-        f"**{_plain(name)}**: {verdict.verdict}. {verdict.agree:,} pixels agree, "
+        f"**{_plain(name)}**: {verdict_words(verdict)}. {verdict.agree:,} pixels agree, "
         f"{verdict.seen_through:,} see through it, in {verdict.hidden:,} something hides it."
     )
 
