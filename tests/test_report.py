@@ -18,7 +18,6 @@ from torchcal.calibrate.result import Calibration, Evidence, ObjectVerdict, Stat
 from torchcal.display import report as reports
 from torchcal.display.report import FramePictures, report
 from torchcal.display.report_rows import (
-    added_words,
     chance_words,
     changes,
     next_view_rows,
@@ -170,8 +169,9 @@ def test_objects_that_ask_for_a_decision_come_first():
     assert re.search(r'class="name">crate</td><td class="words removed">removed', rendered())
 
 
-def test_added_objects_name_the_frames_that_show_them():
-    assert added_words(calibration().update.added[0]).endswith("seen in 0001")
+def test_proposals_name_the_frames_that_speak_for_them():
+    words = " ".join(Page(rendered()).words.split())
+    assert words.count("What speaks for it is in 0001.") == 2
 
 
 def test_the_next_view_says_what_would_be_left_of_the_sigmas():

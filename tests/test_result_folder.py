@@ -240,7 +240,7 @@ def test_update_as_json_says_what_the_table_says(folder, capsys):
         "change": "remove",
         "decision": "accepted",
         "evidence": {"supporting": 256, "contradicting": 0, "hidden": 0},
-        "frames": [],
+        "frames": ["0001"],
     }
     assert printed["proposals"][1]["frames"] == ["0001"]
 

@@ -144,6 +144,8 @@ class ObjectVerdict:
     hidden: int
     T_world_object: Float[Tensor, "4 4"] | None = None
     """Where it is now, if it moved."""
+    frames: tuple[str, ...] = ()
+    """Those that say so: that see through it if it was removed, else that show it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -184,6 +186,8 @@ class Proposal:
     name: str
     change: Change
     evidence: Evidence
+    frames: tuple[str, ...]
+    """Those whose pixels speak for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -197,12 +201,12 @@ class Update:
     def proposals(self) -> tuple[Proposal, ...]:
         """Every change of the model: objects removed and moved, then those added."""
         changed = [
-            Proposal(name=name, change=change, evidence=evidence)
+            Proposal(name=name, change=change, evidence=evidence, frames=verdict.frames)
             for name, verdict in self.verdicts.items()
             for change, evidence in _changes(verdict)
         ]
         added = [
-            Proposal(name=item.name, change=Change.ADD, evidence=item.evidence)
+            Proposal(name=item.name, change=Change.ADD, evidence=item.evidence, frames=item.frames)
             for item in self.added
         ]
         return (*changed, *added)

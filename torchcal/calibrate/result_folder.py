@@ -215,6 +215,7 @@ def _verdict(entry: dict[str, Any]) -> ObjectVerdict:
         seen_through=entry["seen_through"],
         hidden=entry["hidden"],
         T_world_object=None if T is None else _tensor(T),
+        frames=tuple(entry["frames"]),
     )
 
 

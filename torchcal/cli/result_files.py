@@ -142,6 +142,7 @@ def _verdict(verdict: ObjectVerdict) -> dict[str, Any]:
     """One entry of ``objects``."""
     counts = {"verdict": verdict.verdict, "agree": verdict.agree}
     counts |= {"seen_through": verdict.seen_through, "hidden": verdict.hidden}
+    counts |= {"frames": list(verdict.frames)}
     if verdict.T_world_object is None:
         return counts
     return counts | {"T_world_object": _numbers(verdict.T_world_object)}

@@ -47,7 +47,6 @@ def run_update(command: Update, out: Console, err: Console) -> int:
 
 def transaction_dict(transaction: Transaction) -> dict[str, Any]:
     """Every proposal as plain data."""
-    frames = {item.name: list(item.frames) for item in transaction.update.added}
     return {
         "world": NEW_WORLD,
         "proposals": [
@@ -56,7 +55,7 @@ def transaction_dict(transaction: Transaction) -> dict[str, Any]:
                 "change": proposal.change.value,
                 "decision": transaction.decisions[proposal.name].value,
                 "evidence": asdict(proposal.evidence),
-                "frames": frames.get(proposal.name, []),
+                "frames": list(proposal.frames),
             }
             for proposal in transaction.update.proposals
         ],

@@ -48,6 +48,8 @@ class ChangeRow:
     """Percent of the pixels that say anything which speak for it."""
     details: str
     """Where it is, how large, how far it moved."""
+    frames: tuple[str, ...]
+    """Those that speak for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,6 +81,7 @@ def changes(transaction: Transaction) -> list[ChangeRow]:
                 evidence=proposal.evidence,
                 share=100.0 * proposal.evidence.supporting / max(1, told),
                 details=details,
+                frames=proposal.frames,
             )
         )
     return rows
@@ -99,11 +102,10 @@ def verdict_words(verdict: ObjectVerdict) -> str:
 
 
 def added_words(item: AddedObject) -> str:
-    """Size, place and frames of an added object."""
+    """Size and place of an added object."""
     centre = ", ".join(f"{value:.3f}" for value in item.mesh.bounds.mean(axis=0))
-    frames = ", ".join(item.frames)
     size = size_words(item.mesh.extents)
-    return f"{size} along the world’s axes, centre ({centre}) m, seen in {frames}"
+    return f"{size} along the world’s axes, centre ({centre}) m"
 
 
 def glance(calibration: Calibration) -> list[tuple[str, str]]:

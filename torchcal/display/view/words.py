@@ -105,8 +105,8 @@ def legend(comparison: FrameComparison | None) -> str:
 
 def _proposal_words(proposal: Proposal, transaction: Transaction) -> str:
     evidence, change = proposal.evidence, proposal.change
-    frames = {item.name: item.frames for item in transaction.update.added}.get(proposal.name, ())
-    seen = f" Seen in {', '.join(map(_plain, frames))}." if frames else ""
+    frames = ", ".join(map(_plain, proposal.frames))
+    seen = f" What speaks for it is in {frames}." if frames else ""
     return (
         f"**{_plain(proposal.name)}**: {CHANGES[change]}. {evidence.supporting:,} pixels "
         f"{SUPPORT[change]}, {evidence.contradicting:,} {AGAINST[change]}, in "
