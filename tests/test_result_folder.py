@@ -49,7 +49,7 @@ def assert_same_geometry(found: World, expected: World) -> None:
 
 def test_what_is_read_is_what_was_written(folder):
     found, expected = read_result(folder), kept(calibration(NAMES))
-    for name in ("status", "message", "alpha", "projection", "bodies", "link_meshes"):
+    for name in ("status", "message", "estimated", "alpha", "projection", "bodies", "link_meshes"):
         assert getattr(found, name) == getattr(expected, name), name
     for one, other in zip(found.frames, expected.frames, strict=True):
         assert one.name == other.name

@@ -32,6 +32,14 @@ def test_a_small_sigma_is_not_shown_as_none():
     assert re.search(r"\+9\.9980 mm │ +0\.0010 mm │", text)
 
 
+def test_a_comparison_at_the_nominal_pose_is_not_called_an_answer():
+    found = calibration()
+    nominal = replace(found, estimate=replace(found.estimate, estimated=False))
+    assert "The answer can be used" in shown(found)
+    assert "answer" not in shown(nominal)
+    assert "Compared at the nominal pose" in shown(nominal)
+
+
 def test_a_small_addition_has_a_size():
     found = calibration()
     (added,) = found.update.added

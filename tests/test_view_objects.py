@@ -97,6 +97,9 @@ def test_the_list_has_every_proposal_with_its_decision(transaction):
 
 def test_the_headline_says_whether_the_answer_can_be_used():
     assert "✔ The answer can be used" in words.headline(kept(calibration()))
+    plain = calibration()
+    nominal = replace(plain, estimate=replace(plain.estimate, estimated=False))
+    assert words.headline(kept(nominal)) == "**All is well.**"
     doubtful = words.headline(kept(calibration(status=Status.AMBIGUOUS)))
     assert "✘ Not usable" in doubtful
     assert "&lt;z&gt;" in doubtful

@@ -88,6 +88,8 @@ class Estimate:
     """The slowly varying range error (m) that was used or estimated."""
     drift_pixels: float
     """Its correlation length (pixels)."""
+    estimated: bool = True
+    """False: the images were compared at the nominal pose."""
     used_pixels: int = 0
     """Measured pixels of all frames that the fit went by; 0 where nothing was estimated."""
     independent_pixels: float = 0.0

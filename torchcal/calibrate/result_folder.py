@@ -91,6 +91,7 @@ def read_result(folder: Path | str) -> Result:
         return Result(
             status=Status(result["status"]),
             message=result["message"],
+            estimated=record["estimated"],
             alpha=record["alpha"],
             projection=_projection(record["projection"]),
             bodies=tuple(record["bodies"]),
@@ -165,6 +166,7 @@ def _record(result: Result, files: list[str]) -> dict[str, Any]:
     transaction = result.transaction
     return {
         "source": transaction.source,
+        "estimated": result.estimated,
         "alpha": result.alpha,
         "projection": _projection_dict(result.projection),
         "bodies": list(result.bodies),

@@ -19,7 +19,7 @@ from torchcal.calibrate.result import (
     UnobservableDirection,
 )
 from torchcal.display.figures import class_counts
-from torchcal.display.report import HEADLINES, agreement
+from torchcal.display.report import agreement, headline_of
 from torchcal.display.report_rows import verdict_words
 from torchcal.display.summary import (
     SHOWN_UNITS,
@@ -39,7 +39,7 @@ def calibration_view(calibration: Calibration) -> Group:
     estimate = calibration.estimate
     style = "bold green" if estimate.status == Status.CONVERGED else "bold red"
     parts: list[RenderableType] = [
-        Text(HEADLINES[estimate.status], style=style),
+        Text(headline_of(estimate.status, estimated=estimate.estimated), style=style),
         Text(estimate.message),
         *(part for pose in corrections(calibration) for part in _correction(pose)),
         *_doubts(calibration),

@@ -40,6 +40,12 @@ HEADLINES: dict[Status, str] = {
     Status.FAILED: "Not usable: no pose explains the images",
 }
 
+AT_NOMINAL: dict[Status, str] = {
+    Status.CONVERGED: "Compared at the nominal pose, which explains the images",
+    Status.FAILED: "Not usable: the nominal pose does not explain the images",
+}
+"""Where nothing was estimated."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FramePictures:
@@ -80,7 +86,7 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
         "report.html.j2",
         calibration=calibration,
         estimate=estimate,
-        headline=HEADLINES[estimate.status],
+        headline=headline_of(estimate.status, estimated=estimate.estimated),
         glance=glance(calibration),
         corrections=corrections(calibration),
         next_view=next_view_words(calibration.next_view),
@@ -106,6 +112,11 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
         settings=settings(calibration.job),
         most_pictures=MOST_PICTURES,
     )
+
+
+def headline_of(status: Status, *, estimated: bool) -> str:
+    """What a status says of an answer, or of a comparison at the nominal pose."""
+    return HEADLINES[status] if estimated else AT_NOMINAL.get(status, HEADLINES[status])
 
 
 def agreement(counts: dict[PixelClass, int]) -> float:

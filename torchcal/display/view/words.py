@@ -9,7 +9,7 @@ from torchcal.calibrate.kept_result import FramePlace, Result
 from torchcal.calibrate.result import Change, FrameComparison, PixelClass, Proposal, Status
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.figures import SHOWN_AS, class_counts
-from torchcal.display.report import HEADLINES, agreement
+from torchcal.display.report import agreement, headline_of
 from torchcal.display.report_rows import verdict_words
 from torchcal.display.view.shapes import SIGMAS, ellipsoid
 
@@ -36,9 +36,11 @@ AGAINST: dict[Change, str] = {
 
 
 def headline(result: Result) -> str:
-    """Whether the answer can be used, and why not."""
+    """Whether the answer can be used, and why not; of what is no answer, what it is."""
+    if not result.estimated:
+        return f"**{_plain(result.message)}**"
     mark = "✔" if result.status == Status.CONVERGED else "✘"
-    return f"**{mark} {HEADLINES[result.status]}.** {_plain(result.message)}"
+    return f"**{mark} {headline_of(result.status, estimated=True)}.** {_plain(result.message)}"
 
 
 def proposal_list(transaction: Transaction) -> str:
