@@ -164,7 +164,9 @@ def calibration(
         update=Update(
             verdicts={
                 "wall": ObjectVerdict(verdict="agrees", agree=900, seen_through=0, hidden=20),
-                "crate": ObjectVerdict(verdict="removed", agree=0, seen_through=256, hidden=0),
+                "crate": ObjectVerdict(
+                    verdict="removed", agree=0, seen_through=256, hidden=0, frames=names[:1]
+                ),
             },
             added=(
                 AddedObject(

@@ -1,6 +1,7 @@
 """``torchcal follow``: a line for each frame whatever the frame is, and an honest exit status."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,7 @@ def test_every_frame_has_a_line_and_bad_ones_a_reason(folder, tmp_path, capsys):
     assert found["last"] == taken[-1]
     printed = capsys.readouterr().out
     assert "5 frames: 2 tracking, 3 unusable" in printed
+    assert re.search(r"agrees with (9[0-9]|100)\.[0-9] % of what was measured in frame", printed)
     assert str(out / "frames.jsonl") in printed
 
 

@@ -124,6 +124,7 @@ def test_random_ranges_are_not_explained():
 def test_without_estimating_the_nominal_state_stays():
     job = room_job()
     found = answer(job, estimate=False)
+    assert not found.estimate.estimated
     first = se3.exp(-OFF)
     nominal = torch.stack([first, first @ SECOND])
     torch.testing.assert_close(found.estimate.Ts_world_sensor, nominal, rtol=0, atol=1e-12)

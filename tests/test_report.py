@@ -13,17 +13,17 @@ import torch
 from display_scene import calibration
 from PIL import Image
 
+from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import Calibration, Evidence, ObjectVerdict, Status
 from torchcal.display import report as reports
 from torchcal.display.report import FramePictures, report
 from torchcal.display.report_rows import (
-    added_words,
     chance_words,
     changes,
-    decimals,
     next_view_rows,
     objects,
 )
+from torchcal.display.summary import decimals
 from torchcal.geometry import se3
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -151,8 +151,13 @@ def test_proposals_of_a_result_that_cannot_be_used_come_with_a_warning():
     assert warning not in rendered()
 
 
+def test_the_report_says_how_to_decide():
+    assert "torchcal update DIR --accept NAME --reject NAME" in rendered()
+    assert "torchcal view DIR" in rendered()
+
+
 def test_a_moved_object_says_how_far_and_what_speaks_against_it():
-    (row,) = [each for each in changes(moved()) if each.name == "crate"]
+    (row,) = [each for each in changes(kept(moved()).transaction) if each.name == "crate"]
     assert row.evidence == Evidence(supporting=1234, contradicting=56, hidden=7)
     assert row.details == "30.0 mm and 5.73° away from where the model has it"
     assert row.share == pytest.approx(100 * 1234 / 1290)
@@ -164,8 +169,9 @@ def test_objects_that_ask_for_a_decision_come_first():
     assert re.search(r'class="name">crate</td><td class="words removed">removed', rendered())
 
 
-def test_added_objects_name_the_frames_that_show_them():
-    assert added_words(calibration().update.added[0]).endswith("seen in 0001")
+def test_proposals_name_the_frames_that_speak_for_them():
+    words = " ".join(Page(rendered()).words.split())
+    assert words.count("What speaks for it is in 0001.") == 2
 
 
 def test_the_next_view_says_what_would_be_left_of_the_sigmas():

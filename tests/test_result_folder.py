@@ -15,10 +15,11 @@ from torchcal.calibrate.comparison_files import read_comparison
 from torchcal.calibrate.decisions import Decision
 from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import Status
-from torchcal.calibrate.result_folder import DECISIONS, decide, read_result
+from torchcal.calibrate.result_folder import DECISIONS, read_result
 from torchcal.cli.main import main
 from torchcal.cli.output import foreign_file
 from torchcal.cli.result_files import write_results
+from torchcal.display.decided import decide
 from torchcal.errors import TorchcalError
 from torchcal.geometry.projection import Spherical
 from torchcal.model.robot import load_robot
@@ -48,7 +49,7 @@ def assert_same_geometry(found: World, expected: World) -> None:
 
 def test_what_is_read_is_what_was_written(folder):
     found, expected = read_result(folder), kept(calibration(NAMES))
-    for name in ("status", "message", "alpha", "projection", "bodies", "link_meshes"):
+    for name in ("status", "message", "estimated", "alpha", "projection", "bodies", "link_meshes"):
         assert getattr(found, name) == getattr(expected, name), name
     for one, other in zip(found.frames, expected.frames, strict=True):
         assert one.name == other.name
@@ -239,7 +240,7 @@ def test_update_as_json_says_what_the_table_says(folder, capsys):
         "change": "remove",
         "decision": "accepted",
         "evidence": {"supporting": 256, "contradicting": 0, "hidden": 0},
-        "frames": [],
+        "frames": ["0001"],
     }
     assert printed["proposals"][1]["frames"] == ["0001"]
 

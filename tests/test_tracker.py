@@ -1,6 +1,7 @@
 """The tracker follows what moves, is honest about it, and cries out when something was bumped."""
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -54,6 +55,22 @@ def test_a_bump_of_a_centimetre_is_told_at_once_and_nothing_before_or_after_it()
     assert taken[8].p_value < 1e-6
     for each, truth in zip(taken, truths, strict=True):
         assert distance(each, truth) < NEVER
+
+
+def test_something_new_before_the_camera_is_no_alarm_and_not_as_the_model_says():
+    truth = START @ pose(0.02, 0.0, 0.03, 0.0, 0.02, 0.0)
+    plain, changed = seen_from(truth, seed=1), seen_from(truth, seed=2)
+    rows, columns = changed.image.range.shape
+    changed.image.range[: rows // 2, : columns // 2] -= 0.5
+    _, taken = followed(Tracker.of(camera_job(), generator=generator()), [plain, changed])
+    assert [(each.status, each.alarm) for each in taken] == [(TrackStatus.TRACKING, False)] * 2
+    shares = [
+        float(re.findall(r"as expected; the model agrees with ([0-9.]+) % of", each.message)[0])
+        for each in taken
+    ]
+    assert shares[0] > 97.0
+    # A quarter of the image, and the blocks that it cuts.
+    assert 65.0 < shares[1] < 76.0
 
 
 def test_what_stands_still_is_known_better_from_frame_to_frame():

@@ -172,8 +172,8 @@ def test_the_pixels_that_a_beam_mixes_accuse_nobody():
 
 
 def test_links_of_the_robot_get_no_verdict():
-    frame = noisy(scene(), crate_model(), body=bodies(index=2))
-    assert sorted(update(frame).verdicts) == ["crate", "wall"]
+    links = bodies(index=2)
+    assert sorted(update(noisy(scene(), crate_model(), body=links)).verdicts) == ["crate", "wall"]
 
 
 def test_two_frames_of_one_new_thing_make_one_object():
@@ -281,18 +281,13 @@ def test_proposals_are_the_changes_with_their_evidence():
             ("far", "unseen"),
         )
     }
+    verdicts["drum"] = replace(verdicts["drum"], frames=("b", "c"))
     evidence = Evidence(supporting=70, contradicting=1, hidden=2)
+    through = Evidence(supporting=90, contradicting=5, hidden=3)
+    shown = Evidence(supporting=5, contradicting=90, hidden=3)
     new = AddedObject(name="added_1", frames=("a",), mesh=trimesh.Trimesh(), evidence=evidence)
     assert Update(verdicts=verdicts, added=(new,)).proposals == (
-        Proposal(
-            name="crate",
-            change=Change.REMOVE,
-            evidence=Evidence(supporting=90, contradicting=5, hidden=3),
-        ),
-        Proposal(
-            name="drum",
-            change=Change.MOVE,
-            evidence=Evidence(supporting=5, contradicting=90, hidden=3),
-        ),
-        Proposal(name="added_1", change=Change.ADD, evidence=evidence),
+        Proposal(name="crate", change=Change.REMOVE, evidence=through, frames=()),
+        Proposal(name="drum", change=Change.MOVE, evidence=shown, frames=("b", "c")),
+        Proposal(name="added_1", change=Change.ADD, evidence=evidence, frames=("a",)),
     )

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from torchcal.calibrate.result import PixelClass, Status
 from torchcal.cli.main import main
 from torchcal.cli.output import newest
 from torchcal.display.view.follow import WAITING, FollowSource
+from torchcal.display.view.words import headline
 from torchcal.errors import TorchcalError
 from torchcal.geometry import se3
 from torchcal.model.read_job import read_recording
@@ -108,6 +110,34 @@ def test_lines_of_another_version_are_refused(followed, tmp_path):
         source_of(job, tmp_path / "frames.jsonl").latest(None)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"gone.npy"', '"1.npy"', "found frame gone in what torchcal follow wrote; expected 1"),
+        ('\n[[frame]]\ndepth = "1.npy"\npose = {}\n', "", "more than 2 frames"),
+        ("[unknown.base]\n", "[unknown.base]\nrotation_sigma_deg = 0\n", "the unknowns base.x, "),
+        ("pose = {}", "pose = { xyz = [0, 0, 0.01] }", "elsewhere than its corrections put it"),
+    ],
+)
+def test_lines_of_another_job_are_refused(followed, old, new, words):
+    job, written = followed
+    text = job.read_text()
+    if "rotation_sigma_deg" in new:
+        text = re.sub(r"(?m)^rotation_sigma_deg.*\n", "", text)
+    assert old in text
+    other = job.with_name("other.toml")
+    other.write_text(text.replace(old, new))
+    with pytest.raises(TorchcalError, match=re.escape(words)):
+        source_of(other, written).latest(None)
+
+
+def test_what_is_followed_is_not_called_an_answer(followed, tmp_path):
+    job, written = followed
+    waiting = headline(source_of(job, tmp_path / "none").latest(None))
+    assert waiting == f"**{WAITING}**"
+    assert "answer" not in headline(source_of(job, written).latest(None))
+
+
 def test_a_recording_has_nothing_to_decide(followed):
     source = source_of(*followed)
     assert not source.can_decide
@@ -152,6 +182,8 @@ def test_a_hand_held_sensor_with_a_pose_for_each_frame_stands_where_it_was(tmp_p
     names = followed.parameters.names
     values = [0.01, 0.0, 0.0, 0.0, 0.0, 0.1]
     line = {
+        "name": "1",
+        "status": "unusable",
         "corrections": {name: {"value": v} for name, v in zip(names, values, strict=True)},
         "covariance": torch.eye(6).tolist(),
     }

@@ -68,10 +68,11 @@ def test_textured_meshes_are_left_alone():
 
 def test_every_object_says_what_the_images_say_of_it(transaction):
     assert "256 pixels see through it, 0 show it where" in words.object_words("crate", transaction)
+    assert "What speaks for it is in 0001." in words.object_words("crate", transaction)
     assert "Decision: **proposed**" in words.object_words("crate", transaction)
     assert "90 pixels show it where it was found" in words.object_words("wall", transaction)
     added = words.object_words("added-1", transaction.decided(accept=["added-1"]))
-    assert "Seen in 0001." in added
+    assert "What speaks for it is in 0001." in added
     assert "Decision: **accepted**" in added
     untouched = kept(calibration()).transaction
     assert "agrees. 900 pixels agree" in words.object_words("wall", untouched)
@@ -96,6 +97,9 @@ def test_the_list_has_every_proposal_with_its_decision(transaction):
 
 def test_the_headline_says_whether_the_answer_can_be_used():
     assert "✔ The answer can be used" in words.headline(kept(calibration()))
+    plain = calibration()
+    nominal = replace(plain, estimate=replace(plain.estimate, estimated=False))
+    assert words.headline(kept(nominal)) == "**All is well.**"
     doubtful = words.headline(kept(calibration(status=Status.AMBIGUOUS)))
     assert "✘ Not usable" in doubtful
     assert "&lt;z&gt;" in doubtful

@@ -55,7 +55,6 @@ from torchcal.calibrate.result import PixelClass as PixelClass
 from torchcal.calibrate.result import Proposal as Proposal
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import Update as Update
-from torchcal.calibrate.result_folder import decide as decide
 from torchcal.calibrate.result_folder import read_result as read_result
 from torchcal.calibrate.site import Site as Site
 from torchcal.calibrate.tracked import Tracked as Tracked
@@ -99,14 +98,19 @@ from torchcal.render.synthesis import synthesise as synthesise
 if TYPE_CHECKING:
     from torchcal.cli.result_files import result_dict as result_dict
     from torchcal.cli.result_files import write_results as write_results
+    from torchcal.display.decided import decide as decide
 
 __version__ = version("torchcal")
 
-_WRITERS = ("result_dict", "write_results")
+_WRITERS = {
+    "result_dict": "torchcal.cli.result_files",
+    "write_results": "torchcal.cli.result_files",
+    "decide": "torchcal.display.decided",
+}
 """They draw the pictures and the report, which not every program that imports torchcal wants."""
 
 
 def __getattr__(name: str) -> object:
     if name not in _WRITERS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("torchcal.cli.result_files"), name)
+    return getattr(import_module(_WRITERS[name]), name)

@@ -190,13 +190,16 @@ def _sigma(prediction: _Shown, sensor: Sensor, belief: Belief) -> Tensor:
 
 
 def _residual_scale(job: Job, predictions: list[_Shown], belief: Belief) -> float:
-    """Robust standard deviation of measured minus predicted in units of sigma', at least 1."""
+    """Robust standard deviation of measured minus predicted in units of sigma', at least 1.
+
+    What shows something new is not counted: it would enlarge the noise of everything else.
+    """
     v = []
     for frame, prediction in zip(job.frames, predictions, strict=True):
         residual = frame.image.range.to(prediction.range) - prediction.range
         d = residual / _sigma(prediction, job.sensor, belief)
         v.append(d[frame.image.usable & d.isfinite()])
-    return max(1.0, robust.robust_scale(torch.cat(v)))
+    return max(1.0, robust.inlier_scale(torch.cat(v)))
 
 
 def _compare_frame(job: Job, frame: Frame, prediction: _Shown, belief: Belief) -> FrameComparison:

@@ -83,7 +83,7 @@ class Transaction:
                 name=item.name,
                 mesh=item.mesh,
                 T_world_object=eye,
-                extras=self._noted({}, changes[item.name], item.frames),
+                extras=self._noted({}, changes[item.name]),
             )
             for item in self.update.added
             if item.name in changes
@@ -108,19 +108,17 @@ class Transaction:
         T = self.update.verdicts[item.name].T_world_object
         if change.change == Change.REMOVE or T is None:
             return None
-        extras = self._noted(item.extras, change, ())
+        extras = self._noted(item.extras, change)
         return replace(item, T_world_object=T, extras=extras)
 
-    def _noted(
-        self, extras: Mapping[str, Any], proposal: Proposal, frames: tuple[str, ...]
-    ) -> dict[str, Any]:
+    def _noted(self, extras: Mapping[str, Any], proposal: Proposal) -> dict[str, Any]:
         """Extras that say where a change comes from."""
         note = {
             "change": proposal.change.value,
             "decision": self.decisions[proposal.name].value,
             "source": self.source,
             "evidence": asdict(proposal.evidence),
-            "frames": list(frames),
+            "frames": list(proposal.frames),
         }
         return {**extras, PROVENANCE: [*extras.get(PROVENANCE, ()), note]}
 

@@ -187,6 +187,7 @@ def estimate_of(
         sigma_scale=belief.sigma_scale,
         drift_sigma=belief.drift_sigma,
         drift_pixels=belief.drift_pixels,
+        estimated=choice is not None,
         used_pixels=belief.used_pixels,
         independent_pixels=belief.independent_pixels,
         score=choice.score if choice else 0.0,

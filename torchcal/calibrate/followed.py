@@ -15,11 +15,15 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import FrameComparison
 from torchcal.calibrate.slots import BASE
+from torchcal.calibrate.tracked import TrackStatus
 from torchcal.errors import JobError, TorchcalError
 from torchcal.geometry import gaussian
 from torchcal.model.job import Frame, Job
 from torchcal.model.read_job import Recording
 from torchcal.model.scene import Scene
+
+ELSEWHERE = 1e-4
+"""m and parts of 1: poses of the same line differ by less, written in single precision."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,13 +70,44 @@ class Followed:
 
         Raises:
             KeyError: If the line lacks what is needed.
+            TorchcalError: If it is of another job.
         """
         parameters, nominal = self.parameters, self.parameters.nominal
+        self._refuse_other(index, line)
         corrections = [line["corrections"][name]["value"] for name in parameters.names]
-        return Passed(
+        passed = Passed(
             index=index,
             state=parameters.retract(nominal, nominal.new_tensor(corrections)),
             covariance=nominal.new_tensor(line["covariance"]),
+        )
+        if line["status"] == TrackStatus.TRACKING:
+            self._refuse_elsewhere(passed, line)
+        return passed
+
+    def _refuse_other(self, index: int, line: Mapping[str, Any]) -> None:
+        """Raises unless a line is of the recording's frame and of the job's unknowns."""
+        files, names = self.recording.files, self.parameters.names
+        if index >= len(files):
+            raise self._other(f"more than {len(files)} frames", "as many as the job has at most")
+        if line["name"] != files[index].name:
+            raise self._other(f"frame {line['name']}", f"{files[index].name}")
+        if tuple(line["corrections"]) != names:
+            raise self._other(", ".join(line["corrections"]), f"the unknowns {', '.join(names)}")
+
+    def _refuse_elsewhere(self, passed: Passed, line: Mapping[str, Any]) -> None:
+        """Raises unless the job puts the sensor where the line says, which the images do not."""
+        said = passed.state.new_tensor(line["T_world_sensor"]).cpu().double()
+        found = self.place(passed).T_world_sensor
+        if not float((found - said).abs().max()) <= ELSEWHERE:
+            raise self._other(
+                f"a sensor in frame {line['name']} that is elsewhere than its corrections put it",
+                "the nominal poses and joints of the job",
+            )
+
+    def _other(self, found: str, expected: str) -> TorchcalError:
+        return TorchcalError(
+            f"{self.job.file}: found {found} in what torchcal follow wrote; expected {expected}, "
+            "since it is to be of this job"
         )
 
     def place(self, passed: Passed) -> FramePlace:

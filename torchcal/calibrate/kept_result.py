@@ -59,6 +59,8 @@ class Result:
 
     status: Status
     message: str
+    estimated: bool
+    """False: no estimate over all frames stands behind it, and the message says what it is."""
     alpha: float
     """The factor of eq. 5 with which the comparisons were labelled."""
     projection: Projection
@@ -79,6 +81,7 @@ def kept(calibration: Calibration) -> Result:
     return Result(
         status=estimate.status,
         message=estimate.message,
+        estimated=estimate.estimated,
         alpha=job.alpha,
         projection=job.sensor.projection,
         bodies=tuple(body.name for body in bodies_of(job.world, job.robot)),

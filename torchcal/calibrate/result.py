@@ -88,6 +88,8 @@ class Estimate:
     """The slowly varying range error (m) that was used or estimated."""
     drift_pixels: float
     """Its correlation length (pixels)."""
+    estimated: bool = True
+    """False: the images were compared at the nominal pose."""
     used_pixels: int = 0
     """Measured pixels of all frames that the fit went by; 0 where nothing was estimated."""
     independent_pixels: float = 0.0
@@ -138,12 +140,14 @@ class ObjectVerdict:
     """What the images say of one object of the world."""
 
     verdict: str
-    """"agrees", "moved", "removed" or "unseen"."""
+    """"agrees", "moved", "removed", or "unseen": too few pixels show it or see through it."""
     agree: int
     seen_through: int
     hidden: int
     T_world_object: Float[Tensor, "4 4"] | None = None
     """Where it is now, if it moved."""
+    frames: tuple[str, ...] = ()
+    """Those that say so: that see through it if it was removed, else that show it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -184,6 +188,8 @@ class Proposal:
     name: str
     change: Change
     evidence: Evidence
+    frames: tuple[str, ...]
+    """Those whose pixels speak for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -197,12 +203,12 @@ class Update:
     def proposals(self) -> tuple[Proposal, ...]:
         """Every change of the model: objects removed and moved, then those added."""
         changed = [
-            Proposal(name=name, change=change, evidence=evidence)
+            Proposal(name=name, change=change, evidence=evidence, frames=verdict.frames)
             for name, verdict in self.verdicts.items()
             for change, evidence in _changes(verdict)
         ]
         added = [
-            Proposal(name=item.name, change=Change.ADD, evidence=item.evidence)
+            Proposal(name=item.name, change=Change.ADD, evidence=item.evidence, frames=item.frames)
             for item in self.added
         ]
         return (*changed, *added)

@@ -8,7 +8,7 @@ stopped.
 """
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
@@ -91,6 +91,7 @@ def read_result(folder: Path | str) -> Result:
         return Result(
             status=Status(result["status"]),
             message=result["message"],
+            estimated=record["estimated"],
             alpha=record["alpha"],
             projection=_projection(record["projection"]),
             bodies=tuple(record["bodies"]),
@@ -130,7 +131,11 @@ def read_status(folder: Path | str) -> tuple[Status, str]:
 
 
 def decide(
-    folder: Path | str, *, accept: Collection[str] = (), reject: Collection[str] = ()
+    folder: Path | str,
+    *,
+    accept: Collection[str] = (),
+    reject: Collection[str] = (),
+    then: Callable[[Transaction], None] | None = None,
 ) -> Transaction:
     """Accepts and rejects proposals of a result, and writes its ``world.glb`` anew.
 
@@ -140,6 +145,7 @@ def decide(
         folder: What ``torchcal calibrate`` wrote.
         accept: Names of proposals, or ``all`` for those that are not named.
         reject: Likewise.
+        then: Told what is decided, before anyone else can decide.
 
     Raises:
         TorchcalError: As ``read_result``; and if there is no such proposal, or one is to be both.
@@ -150,6 +156,8 @@ def decide(
     with FileLock(folder / LOCK):
         transaction = read_transaction(folder).decided(accept=accept, reject=reject)
         write_corrected(transaction, folder)
+        if then is not None:
+            then(transaction)
     return transaction
 
 
@@ -158,6 +166,7 @@ def _record(result: Result, files: list[str]) -> dict[str, Any]:
     transaction = result.transaction
     return {
         "source": transaction.source,
+        "estimated": result.estimated,
         "alpha": result.alpha,
         "projection": _projection_dict(result.projection),
         "bodies": list(result.bodies),
@@ -208,6 +217,7 @@ def _verdict(entry: dict[str, Any]) -> ObjectVerdict:
         seen_through=entry["seen_through"],
         hidden=entry["hidden"],
         T_world_object=None if T is None else _tensor(T),
+        frames=tuple(entry["frames"]),
     )
 
 

@@ -221,7 +221,7 @@ class Tracker:
         """The tracker after a frame that was explained."""
         joined = self._joined(told, self.covariance)
         state, P = self._moved(told, joined), joined.covariance
-        alarm, words = joined.p_value < CHANCE, "The image is as expected."
+        alarm, words = joined.p_value < CHANCE, _expected_words(told.agreement)
         if alarm:
             anew = self._joined(told, self.covariance + torch.diag(self._bump.square()))
             state, P = self._moved(told, anew), anew.covariance
@@ -284,3 +284,11 @@ class Tracker:
             seconds=time.perf_counter() - began,
             **self._belief(),
         )
+
+
+def _expected_words(agreement: float) -> str:
+    """Of a frame that confirms what is estimated: objects may have changed all the same."""
+    return (
+        "What is estimated is as expected; the model agrees with "
+        f"{100.0 * agreement:.1f} % of what was measured."
+    )

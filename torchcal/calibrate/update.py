@@ -136,6 +136,7 @@ def object_verdict(
     mix it with what stands behind it. Being hidden or never looked at is no evidence against it.
     """
     agree = seen_through = hidden = 0
+    showing, piercing = [], []
     for frame, found in zip(comparisons, regions, strict=True):
         shown = interior(frame.body == body, beam) & frame.usable
         farther, nearer = (
@@ -143,11 +144,18 @@ def object_verdict(
         )
         nearer |= (frame.label == PixelClass.NEARER) & ~farther
         agreeing = (frame.label == PixelClass.AGREES) & ~farther & ~nearer
-        seen_through += int((shown & farther).sum())
+        here, through = int((shown & agreeing).sum()), int((shown & farther).sum())
+        agree, seen_through = agree + here, seen_through + through
         hidden += int((shown & nearer).sum())
-        agree += int((shown & agreeing).sum())
+        showing += [frame.name] if here else []
+        piercing += [frame.name] if through else []
+    verdict = _verdict(agree, seen_through)
     return ObjectVerdict(
-        verdict=_verdict(agree, seen_through), agree=agree, seen_through=seen_through, hidden=hidden
+        verdict=verdict,
+        agree=agree,
+        seen_through=seen_through,
+        hidden=hidden,
+        frames=tuple(piercing if verdict == "removed" else showing),
     )
 
 

@@ -124,4 +124,12 @@ def _tell(taken: Sequence[Tracked], folder: Path, out: Console) -> None:
     for each in taken:
         if each.alarm or each.status != TrackStatus.TRACKING:
             line(out, f"{'ALARM ' if each.alarm else ''}{each.name}: {each.message}")
+    tracking = [each for each in taken if each.status == TrackStatus.TRACKING]
+    if tracking:
+        worst = min(tracking, key=lambda each: each.agreement)
+        line(
+            out,
+            f"The model agrees with {100.0 * worst.agreement:.1f} % of what was measured in frame "
+            f"{worst.name}, the least of those tracking; torchcal calibrate says what differs",
+        )
     line(out, f"Every frame is in {folder / 'frames.jsonl'}")

@@ -18,7 +18,8 @@ MARKERS = ("result.json", "preview")
 
 WRITTEN = ("result.json", "frames.jsonl", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
 WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png", "batch.json", "frames/*.npz")
-WRITTEN += ("model/*.glb", "model/record.json", "model/*.lock", ".world.partial-*.glb")
+WRITTEN += ("model/*.glb", "model/record.json", "model/*.lock")
+WRITTEN += (".world.partial-*.glb", ".report.partial-*.html")
 """Files that torchcal writes."""
 
 WRITTEN_FOLDERS = ("meshes", "job")

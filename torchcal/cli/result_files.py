@@ -24,6 +24,7 @@ from torchcal.calibrate.result import (
 )
 from torchcal.calibrate.result_folder import write_kept
 from torchcal.display import canvas, figures
+from torchcal.display.decided import REPORT
 from torchcal.display.report import FramePictures, report
 from torchcal.display.summary import axis_sigmas
 from torchcal.model.job import Job
@@ -91,7 +92,7 @@ def write_results(calibration: Calibration, folder: Path | str) -> None:
     pictures = list(_write_pictures(calibration, folder))
     _write_robot(calibration, folder)
     write_kept(kept(calibration), folder)
-    (folder / "report.html").write_text(report(calibration, pictures), encoding="utf-8")
+    (folder / REPORT).write_text(report(calibration, pictures), encoding="utf-8")
     text = as_json(result_dict(calibration))
     (folder / "result.json").write_text(text + "\n", encoding="utf-8")
 
@@ -141,6 +142,7 @@ def _verdict(verdict: ObjectVerdict) -> dict[str, Any]:
     """One entry of ``objects``."""
     counts = {"verdict": verdict.verdict, "agree": verdict.agree}
     counts |= {"seen_through": verdict.seen_through, "hidden": verdict.hidden}
+    counts |= {"frames": list(verdict.frames)}
     if verdict.T_world_object is None:
         return counts
     return counts | {"T_world_object": _numbers(verdict.T_world_object)}

@@ -19,13 +19,16 @@ from torchcal.calibrate.result import (
     UnobservableDirection,
 )
 from torchcal.display.figures import class_counts
-from torchcal.display.report import HEADLINES, agreement
+from torchcal.display.report import agreement, headline_of
+from torchcal.display.report_rows import verdict_words
 from torchcal.display.summary import (
     SHOWN_UNITS,
     Correction,
     corrections,
+    decimals,
     distance_words,
     next_view_words,
+    size_words,
 )
 
 STYLES: dict[str, str] = {"agrees": "green", "unseen": "dim", "moved": "yellow", "removed": "red"}
@@ -36,9 +39,9 @@ def calibration_view(calibration: Calibration) -> Group:
     estimate = calibration.estimate
     style = "bold green" if estimate.status == Status.CONVERGED else "bold red"
     parts: list[RenderableType] = [
-        Text(HEADLINES[estimate.status], style=style),
+        Text(headline_of(estimate.status, estimated=estimate.estimated), style=style),
         Text(estimate.message),
-        *(_correction_table(pose) for pose in corrections(calibration)),
+        *(part for pose in corrections(calibration) for part in _correction(pose)),
         *_doubts(calibration),
         _frame_table(calibration),
     ]
@@ -65,13 +68,19 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
+def _correction(pose: Correction) -> tuple[RenderableType, ...]:
+    """What was corrected, and how to read it."""
+    return _correction_table(pose), *(Text(note, style="dim") for note in pose.notes)
+
+
 def _correction_table(pose: Correction) -> Table:
     table = _table(escape(pose.title), "axis", "correction", "± 1σ now", "± 1σ before", "")
     for row in pose.axes:
         if row.held:
             table.add_row(row.axis, "held", "–", "–", "")
         else:
-            numbers = (f"{row.change:+.3f}", f"{row.sigma:.3f}", f"{row.prior:.4g}")
+            digits = decimals(row.sigma)
+            numbers = f"{row.change:+.{digits}f}", f"{row.sigma:.{digits}f}", f"{row.prior:.4g}"
             told = "from the prior" if row.from_prior else ""
             table.add_row(row.axis, *(f"{number} {row.unit}" for number in numbers), told)
     return table
@@ -112,10 +121,10 @@ def _object_table(calibration: Calibration) -> Table:
     for name, found in calibration.update.verdicts.items():
         numbers = (f"{count:,}" for count in (found.agree, found.seen_through, found.hidden))
         style = STYLES.get(found.verdict)
-        table.add_row(escape(name), Text(found.verdict, style=style or ""), *numbers)
+        table.add_row(escape(name), Text(verdict_words(found), style=style or ""), *numbers)
     for item in calibration.update.added:
-        size = " × ".join(f"{side:.2f}" for side in item.mesh.extents)
-        table.add_row(escape(item.name), Text("added", style="cyan"), f"{size} m", "–", "–")
+        size = size_words(item.mesh.extents)
+        table.add_row(escape(item.name), Text("added", style="cyan"), size, "–", "–")
     return table
 
 

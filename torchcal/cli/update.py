@@ -10,9 +10,10 @@ from rich.text import Text
 
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.result import Change, Status
-from torchcal.calibrate.result_folder import NEW_WORLD, decide, read_status, read_transaction
+from torchcal.calibrate.result_folder import NEW_WORLD, read_status, read_transaction
 from torchcal.cli.commands import NOT_USABLE, USABLE, line, print_json
 from torchcal.cli.options import Update
+from torchcal.display.decided import decide
 
 STYLES: dict[Decision, str] = {
     Decision.PROPOSED: "yellow",
@@ -46,7 +47,6 @@ def run_update(command: Update, out: Console, err: Console) -> int:
 
 def transaction_dict(transaction: Transaction) -> dict[str, Any]:
     """Every proposal as plain data."""
-    frames = {item.name: list(item.frames) for item in transaction.update.added}
     return {
         "world": NEW_WORLD,
         "proposals": [
@@ -55,7 +55,7 @@ def transaction_dict(transaction: Transaction) -> dict[str, Any]:
                 "change": proposal.change.value,
                 "decision": transaction.decisions[proposal.name].value,
                 "evidence": asdict(proposal.evidence),
-                "frames": frames.get(proposal.name, []),
+                "frames": list(proposal.frames),
             }
             for proposal in transaction.update.proposals
         ],

@@ -5,26 +5,27 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
+from torchcal.calibrate.decisions import Transaction
 from torchcal.calibrate.result import Calibration, PixelClass, Status
+from torchcal.calibrate.update import LEAST_EVIDENCE
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
+from torchcal.display.decided import changes_section
 from torchcal.display.figures import SHOWN_AS, class_counts
+from torchcal.display.job_settings import settings
 from torchcal.display.legend import hybrid_swatch
 from torchcal.display.report_rows import (
-    AGAINST,
-    FOR,
     chance_words,
-    changes,
-    decimals,
     glance,
     next_view_rows,
     objects,
     pose_sigma,
     sigma_words,
+    verdict_words,
 )
-from torchcal.display.summary import corrections, distance_words, next_view_words, settings
+from torchcal.display.summary import corrections, decimals, distance_words, next_view_words
+from torchcal.display.templates import filled
 
 MOST_PICTURES = 24
 """More frames than this make a file too large to send: the worst ones are shown."""
@@ -38,6 +39,12 @@ HEADLINES: dict[Status, str] = {
     Status.UNOBSERVABLE: "Not usable: the images do not fix everything that was asked",
     Status.FAILED: "Not usable: no pose explains the images",
 }
+
+AT_NOMINAL: dict[Status, str] = {
+    Status.CONVERGED: "Compared at the nominal pose, which explains the images",
+    Status.FAILED: "Not usable: the nominal pose does not explain the images",
+}
+"""Where nothing was estimated."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,20 +76,17 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
         calibration: The answer.
         pictures: The figures of each frame, in the order of ``calibration.comparisons``.
     """
-    environment = Environment(
-        loader=PackageLoader("torchcal.display", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     estimate = calibration.estimate
     here = estimate.Ts_world_sensor[0]
     frames = _sections(calibration, pictures)
-    return environment.get_template("report.html.j2").render(
+    transaction = Transaction.undecided(
+        calibration.job.file.name, calibration.job.world, calibration.update
+    )
+    return filled(
+        "report.html.j2",
         calibration=calibration,
         estimate=estimate,
-        headline=HEADLINES[estimate.status],
+        headline=headline_of(estimate.status, estimated=estimate.estimated),
         glance=glance(calibration),
         corrections=corrections(calibration),
         next_view=next_view_words(calibration.next_view),
@@ -99,15 +103,20 @@ def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
             (each, CLASS_COLOURS[each], CLASS_WORDS[each], SHOWN_AS[each], _swatch(each))
             for each in SHOWN_AS
         ],
-        changes=changes(calibration),
-        supporting=FOR,
-        contradicting=AGAINST,
+        changes=changes_section(transaction, estimate.status),
         objects=objects(calibration),
+        verdict_words=verdict_words,
+        least_evidence=LEAST_EVIDENCE,
         alpha=calibration.job.alpha,
         chance=chance_words(calibration.job.alpha),
         settings=settings(calibration.job),
         most_pictures=MOST_PICTURES,
     )
+
+
+def headline_of(status: Status, *, estimated: bool) -> str:
+    """What a status says of an answer, or of a comparison at the nominal pose."""
+    return HEADLINES[status] if estimated else AT_NOMINAL.get(status, HEADLINES[status])
 
 
 def agreement(counts: dict[PixelClass, int]) -> float:

@@ -3,9 +3,17 @@
 import math
 from dataclasses import dataclass
 
+from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.parameters import parameter_unit
 from torchcal.calibrate.result import AddedObject, Calibration, Change, Evidence, ObjectVerdict
-from torchcal.display.summary import MILLI, SHOWN_UNITS, distance_words
+from torchcal.display.summary import (
+    MILLI,
+    SHOWN_UNITS,
+    centre_pose,
+    decimals,
+    distance_words,
+    size_words,
+)
 
 MOST_LEFT = 8
 """Parameters of the next view that are listed: those that it would tell most about."""
@@ -34,11 +42,14 @@ class ChangeRow:
 
     change: Change
     name: str
+    decision: Decision
     evidence: Evidence
     share: float
     """Percent of the pixels that say anything which speak for it."""
     details: str
     """Where it is, how large, how far it moved."""
+    frames: tuple[str, ...]
+    """Those that speak for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,24 +62,26 @@ class SigmaRow:
     then: float
 
 
-def changes(calibration: Calibration) -> list[ChangeRow]:
-    """Every proposed change of the model."""
-    update = calibration.update
+def changes(transaction: Transaction) -> list[ChangeRow]:
+    """Every proposed change of the model, and what was decided."""
+    update = transaction.update
     added = {item.name: item for item in update.added}
     rows = []
     for proposal in update.proposals:
         if proposal.change == Change.ADD:
             details = added_words(added[proposal.name])
         else:
-            details = _moved_words(calibration, proposal.name)
+            details = _moved_words(transaction, proposal.name)
         told = proposal.evidence.supporting + proposal.evidence.contradicting
         rows.append(
             ChangeRow(
                 change=proposal.change,
                 name=proposal.name,
+                decision=transaction.decisions[proposal.name],
                 evidence=proposal.evidence,
                 share=100.0 * proposal.evidence.supporting / max(1, told),
                 details=details,
+                frames=proposal.frames,
             )
         )
     return rows
@@ -82,18 +95,23 @@ def objects(calibration: Calibration) -> list[tuple[str, ObjectVerdict]]:
     )
 
 
+def verdict_words(verdict: ObjectVerdict) -> str:
+    """A verdict as a person reads it: what was seen a little is not called unseen."""
+    seen = verdict.agree + verdict.seen_through
+    return "hardly seen" if verdict.verdict == "unseen" and seen > 0 else verdict.verdict
+
+
 def added_words(item: AddedObject) -> str:
-    """Size, place and frames of an added object."""
-    size = " × ".join(f"{value:.3f}" for value in item.mesh.extents)
+    """Size and place of an added object."""
     centre = ", ".join(f"{value:.3f}" for value in item.mesh.bounds.mean(axis=0))
-    frames = ", ".join(item.frames)
-    return f"{size} m along the world’s axes, centre ({centre}) m, seen in {frames}"
+    size = size_words(item.mesh.extents)
+    return f"{size} along the world’s axes, centre ({centre}) m"
 
 
 def glance(calibration: Calibration) -> list[tuple[str, str]]:
     """The answer in a few figures, each with what it is a figure of."""
-    found = changes(calibration)
-    counts = [sum(row.change == change for row in found) for change in Change]
+    found = calibration.update.proposals
+    counts = [sum(each.change == change for each in found) for change in Change]
     words = [f"{n} to {change.value}" for n, change in zip(counts, Change, strict=True) if n]
     open_ends = len(calibration.estimate.unobservable)
     return [
@@ -118,11 +136,6 @@ def next_view_rows(calibration: Calibration) -> list[SigmaRow]:
     return sorted(rows, key=lambda row: row.then / row.now)[:MOST_LEFT]
 
 
-def decimals(sigma: float) -> int:
-    """So many that a standard deviation shows two digits: what it is of deserves no more."""
-    return min(9, max(0, 1 - math.floor(math.log10(sigma)))) if sigma > 0.0 else 3
-
-
 def chance_words(alpha: float) -> str:
     """The share of pixels that differ by chance alone where the model is right."""
     return f"{100.0 * math.erfc(alpha / math.sqrt(2.0)):.2g} %"
@@ -137,7 +150,8 @@ def pose_sigma(calibration: Calibration, index: int) -> tuple[float, float]:
 
 def sigma_words(sigma: tuple[float, float]) -> str:
     """Standard deviations (mm, mrad) with their units."""
-    return f"{sigma[0]:.2f} mm, {sigma[1]:.2f} mrad"
+    metres, radians = (f"{each:.{decimals(each)}f}" for each in sigma)
+    return f"{metres} mm, {radians} mrad"
 
 
 def _worst_pose(calibration: Calibration) -> str:
@@ -146,10 +160,11 @@ def _worst_pose(calibration: Calibration) -> str:
     return sigma_words((max(each[0] for each in sigmas), max(each[1] for each in sigmas)))
 
 
-def _moved_words(calibration: Calibration, name: str) -> str:
+def _moved_words(transaction: Transaction, name: str) -> str:
     """How far an object is from where the model has it; empty for one that is gone."""
-    job, now = calibration.job, calibration.update.verdicts[name].T_world_object
-    if now is None or job.world is None:
+    world, now = transaction.world, transaction.update.verdicts[name].T_world_object
+    if now is None or world is None:
         return ""
-    (before,) = (item.T_world_object for item in job.world.objects if item.name == name)
-    return f"{distance_words(before, now)} from where the model has it"
+    (item,) = (each for each in world.objects if each.name == name)
+    at, before = centre_pose(item.mesh).to(now), item.T_world_object.to(now)
+    return f"{distance_words(before @ at, now @ at)} from where the model has it"

@@ -1,19 +1,18 @@
-"""The answer as rows that a person reads: corrections, how sure they are, settings of the job."""
+"""The answer as rows that a person reads: corrections and how sure they are."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
+import trimesh
 from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.observability import LEFT
-from torchcal.calibrate.parameters import parameter_unit
 from torchcal.calibrate.result import Calibration, NextView
 from torchcal.geometry import se3
-from torchcal.geometry.projection import Pinhole
 from torchcal.model.job import Job, PosePrior, RangePrior
-from torchcal.model.sensor import Noise, Sensor
 from torchcal.model.write_job import key
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -22,6 +21,13 @@ MILLI = 1000.0
 
 SHOWN_UNITS = {"m": (MILLI, "mm"), "rad": (math.degrees(1.0), "°"), "1": (100.0, "%")}
 """Factor and name of the unit that a person reads."""
+
+
+OWN_AXES = (
+    "Shifts along and turns about its own axes in the nominal pose, "
+    "not the axes in which both poses are given."
+)
+"""What a person must know to read the rows of a pose."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,11 +85,15 @@ def corrections(calibration: Calibration) -> tuple[Correction, ...]:
         poses = job.T_link_sensor, estimate.T_link_sensor
         title = f"Sensor on {job.link}" if job.link else "Sensor mount"
         found.append(_correction(title, *poses, sigmas, job.mount))
-    nominal = {item.name: item.T_world_object for item in job.world.objects} if job.world else {}
+    objects = {item.name: item for item in job.world.objects} if job.world else {}
     for name, prior in job.objects.items():
         sigmas = axis_sigmas(estimate.names, estimate.covariance, f"objects.{name}")
-        poses = nominal[name], estimate.Ts_world_object[name]
-        found.append(_correction(f"Object {name} in the world", *poses, sigmas, prior))
+        item = objects[name]
+        at = centre_pose(item.mesh).to(item.T_world_object)
+        before, now = item.T_world_object @ at, estimate.Ts_world_object[name].to(at) @ at
+        found.append(
+            _correction(f"Object {name} in the world (its centre)", before, now, sigmas, prior)
+        )
     if job.range is not None:
         found.append(_range_correction(calibration, job.range))
     return tuple(found)
@@ -169,15 +179,16 @@ def _sensor_title(job: Job, name: str) -> str:
 def _correction(
     title: str, nominal: Tensor, estimated: Tensor, sigmas: list[float], prior: PosePrior
 ) -> Correction:
-    """The rows of one pose."""
-    twist = se3.log(se3.inverse(nominal) @ estimated.to(nominal)).tolist()
+    """The rows of one pose: how far it is from where it was believed, and how far it is turned."""
+    relative = se3.inverse(nominal) @ estimated.to(nominal)
+    change = [*relative[:3, 3].tolist(), *se3.log(relative)[3:].tolist()]
     believed = prior.sigma.tolist()
     scales = [SHOWN_UNITS["m"]] * 3 + [SHOWN_UNITS["rad"]] * 3
     axes = tuple(
         AxisCorrection(
             axis=axis,
             unit=unit,
-            change=scale * twist[i],
+            change=scale * change[i],
             sigma=scale * sigmas[i],
             prior=scale * believed[i],
         )
@@ -186,9 +197,16 @@ def _correction(
     notes = (
         f"Nominal: {pose_words(nominal)}",
         f"Estimated: {pose_words(estimated)}",
-        "Corrections are along and about the axes of the nominal pose.",
+        OWN_AXES,
     )
     return Correction(title=title, axes=axes, notes=notes)
+
+
+def centre_pose(mesh: trimesh.Trimesh) -> Float[Tensor, "4 4"]:
+    """``T_object_centre``: the centre of the bounding box with the object's own axes."""
+    T = torch.eye(4, dtype=torch.float64)
+    T[:3, 3] = torch.from_numpy(mesh.bounds.mean(axis=0))
+    return T
 
 
 def pose_words(T: Float[Tensor, "4 4"]) -> str:
@@ -201,9 +219,22 @@ def pose_words(T: Float[Tensor, "4 4"]) -> str:
 
 def distance_words(one: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> str:
     """How far one pose is from another, in mm and degrees."""
-    twist = se3.log(se3.inverse(one) @ other.to(one))
-    moved, turned = MILLI * float(twist[:3].norm()), math.degrees(float(twist[3:].norm()))
+    relative = se3.inverse(one) @ other.to(one)
+    moved = MILLI * float(relative[:3, 3].norm())
+    turned = math.degrees(float(se3.log(relative)[3:].norm()))
     return f"{moved:.1f} mm and {turned:.2f}° away"
+
+
+def decimals(sigma: float) -> int:
+    """So many that a standard deviation shows two digits: what it is of deserves no more."""
+    return min(9, max(0, 1 - math.floor(math.log10(sigma)))) if sigma > 0.0 else 3
+
+
+def size_words(extents: Iterable[float]) -> str:
+    """The sides of a box in metres, with two digits of the smallest down to a tenth of a mm."""
+    sides = list(extents)
+    digits = min(4, max(3, decimals(min(sides))))
+    return " × ".join(f"{side:.{digits}f}" for side in sides) + " m"
 
 
 def next_view_words(view: NextView | None) -> str:
@@ -212,82 +243,3 @@ def next_view_words(view: NextView | None) -> str:
         return ""
     joints = ", ".join(f"{key(name)} = {value:.3f}" for name, value in view.joints.items())
     return f"joints = {{ {joints} }}"
-
-
-def settings(job: Job) -> dict[str, str]:
-    """What the job says, in words with units."""
-    rows = {
-        "Job file": job.file.name,
-        "Frames": str(len(job.frames)),
-        "World": f"{len(job.world.objects)} objects" if job.world else "none: only the robot",
-        "Robot": job.robot.name if job.robot else "none: hand-held sensor",
-    }
-    if job.link is not None:
-        rows["Sensor on"] = job.link
-    rows |= _sensor_settings(job.sensor)
-    if job.robot is None:
-        rows["Prior of the sensor's pose"] = _prior_words(job.base)
-    else:
-        rows["Prior of the base"] = _prior_words(job.base)
-        rows["Prior of the mount"] = _prior_words(job.mount)
-    if job.joints:
-        rows["Priors of the joints"] = _joint_priors(job)
-    for name, prior in job.objects.items():
-        rows[f"Prior of the object {name}"] = _prior_words(prior)
-    if job.range is not None:
-        rows["Prior of the sensor's range"] = (
-            f"{MILLI * job.range.offset_sigma:g} mm, {100.0 * job.range.scale_sigma:g} %"
-        )
-    if job.frame_poses is not None:
-        rows["Prior of each frame's own error"] = _prior_words(job.frame_poses)
-    rows["Search starts"] = "at the nominal pose" if job.initial == "nominal" else "anywhere"
-    rows["Alpha"] = f"{job.alpha:g} standard deviations (eq. 5)"
-    return rows
-
-
-def _joint_priors(job: Job) -> str:
-    """One standard deviation of every joint's zero position."""
-    words = []
-    for name, sigma in job.joints.items():
-        scale, unit = SHOWN_UNITS[parameter_unit(f"joints.{name}", job)]
-        words.append(f"{name} {scale * sigma:.4g}{'' if unit == '°' else ' '}{unit}")
-    return ", ".join(words)
-
-
-def _sensor_settings(sensor: Sensor) -> dict[str, str]:
-    """The sensor's part of the settings."""
-    lens = sensor.projection
-    kind = "pinhole, depth along z" if isinstance(lens, Pinhole) else "spherical, distance"
-    return {
-        "Sensor": f"{kind}, {lens.width} × {lens.height} pixels",
-        "Limits": f"{sensor.near:g} to {sensor.far:g} m",
-        "Noise of a pixel": _noise_words(sensor.noise),
-        "Beam": f"{sensor.beam} × {sensor.beam} pixels" if sensor.beam else "an ideal ray",
-    }
-
-
-def _noise_words(noise: Noise) -> str:
-    """Standard deviation of a pixel as the job gives it."""
-    words = f"{MILLI * noise.a:g} mm"
-    if noise.b or noise.c:
-        words = f"{noise.a:g} + {noise.b:g} z + {noise.c:g} z² (m)"
-    if noise.drift is None:
-        return f"{words}; slow drift estimated"
-    if noise.drift.sigma == 0.0:
-        return f"{words}; no slow drift"
-    drift = noise.drift
-    return f"{words}; slow drift {MILLI * drift.sigma:g} mm over {drift.pixels:g} pixels"
-
-
-def _prior_words(prior: PosePrior | None) -> str:
-    """One standard deviation of a prior; one number where its axes are alike."""
-    if prior is None:
-        return "known exactly"
-    metres, radians = prior.sigma[:3], prior.sigma[3:]
-    return f"{_numbers(MILLI * metres)} mm, {_numbers(torch.rad2deg(radians))}°"
-
-
-def _numbers(values: Tensor) -> str:
-    """The values, once if all are the same."""
-    words = [f"{value:.4g}" for value in values.tolist()]
-    return words[0] if len(set(words)) == 1 else ", ".join(words)

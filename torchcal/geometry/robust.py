@@ -12,6 +12,12 @@ ZETA = 3.0
 """The factor of eq. 16."""
 GAUSSIAN_MEDIAN = 0.6744897501960817
 """Median of |v| under Gaussian noise, in standard deviations."""
+INLIER = 2.5
+"""Standard deviations within which residuals tell about the noise: one in eighty is beyond."""
+ROUNDS = 50
+"""Most repetitions of ``inlier_scale``."""
+SETTLED = 1e-6
+"""Relative change of a scale that ends its repetitions."""
 
 
 def biweight(v: Float[Tensor, "*batch"], c: float | Tensor) -> Float[Tensor, "*batch"]:
@@ -103,3 +109,32 @@ def _truncated_moments(c: Tensor, count: int) -> list[Tensor]:
 def robust_scale(v: Float[Tensor, " residual"]) -> float:
     """Standard deviation from the median of |v|; 1 for whitened Gaussian residuals or none."""
     return float(v.abs().median()) / GAUSSIAN_MEDIAN if v.numel() else 1.0
+
+
+def inlier_scale(
+    v: Float[Tensor, " residual"], *, limit: float = INLIER, rounds: int = ROUNDS
+) -> float:
+    """Standard deviation of the Gaussian part of residuals of which others are no noise.
+
+    What is beyond ``limit`` of the result is left out, and the median of what is left compared with
+    that of a Gaussian cut off there, so that residuals without others keep their standard
+    deviation. 1 where there are none.
+
+    Args:
+        v: Residuals in standard deviations (eq. 15).
+        limit: Of the result; what is within it counts.
+        rounds: Most repetitions, from the median of all.
+    """
+    size, scale = v.abs(), robust_scale(v)
+    for _ in range(rounds):
+        before, kept = scale, size[size <= limit * scale]
+        scale = float(kept.median()) / _cut_median(limit) if kept.numel() else scale
+        if abs(scale - before) <= SETTLED * before:
+            break
+    return scale
+
+
+def _cut_median(limit: float) -> float:
+    """Median of |v| below ``limit`` under Gaussian noise, in standard deviations."""
+    half = 0.5 * torch.erf(torch.tensor(limit / math.sqrt(2.0), dtype=torch.float64))
+    return math.sqrt(2.0) * float(torch.erfinv(half))

@@ -82,10 +82,9 @@ class FollowSource:
 
     def _result(self) -> Result:
         job = self.followed.job
-        count = min(len(self.lines), len(self.followed.recording.files))
         try:
-            passed = [self.followed.passed(k, self.lines[k]) for k in range(count)]
-        except (KeyError, TypeError) as error:
+            passed = [self.followed.passed(k, line) for k, line in enumerate(self.lines)]
+        except (KeyError, TypeError, ValueError) as error:
             found = f"a line without {error}"
             raise TorchcalError(f"found {found}; expected one of this torchcal follow") from error
         status, message = _said(self.lines[-1]) if self.lines else (Status.FAILED, WAITING)
@@ -93,6 +92,7 @@ class FollowSource:
         return Result(
             status=status,
             message=message,
+            estimated=False,
             alpha=job.alpha,
             projection=job.sensor.projection,
             bodies=tuple(body.name for body in self.followed.scene.bodies),

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from torchcal.calibrate.kept_result import Result
-from torchcal.calibrate.result_folder import NEW_WORLD, decide, read_result, read_transaction
+from torchcal.calibrate.result_folder import NEW_WORLD, read_result, read_transaction
+from torchcal.display.decided import decide
 from torchcal.errors import TorchcalError
 
 Stamp = tuple[int, int]

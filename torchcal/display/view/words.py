@@ -9,7 +9,8 @@ from torchcal.calibrate.kept_result import FramePlace, Result
 from torchcal.calibrate.result import Change, FrameComparison, PixelClass, Proposal, Status
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.figures import SHOWN_AS, class_counts
-from torchcal.display.report import HEADLINES, agreement
+from torchcal.display.report import agreement, headline_of
+from torchcal.display.report_rows import verdict_words
 from torchcal.display.view.shapes import SIGMAS, ellipsoid
 
 VISIBLE = 0.01
@@ -35,9 +36,11 @@ AGAINST: dict[Change, str] = {
 
 
 def headline(result: Result) -> str:
-    """Whether the answer can be used, and why not."""
+    """Whether the answer can be used, and why not; of what is no answer, what it is."""
+    if not result.estimated:
+        return f"**{_plain(result.message)}**"
     mark = "✔" if result.status == Status.CONVERGED else "✘"
-    return f"**{mark} {HEADLINES[result.status]}.** {_plain(result.message)}"
+    return f"**{mark} {headline_of(result.status, estimated=True)}.** {_plain(result.message)}"
 
 
 def proposal_list(transaction: Transaction) -> str:
@@ -62,7 +65,7 @@ def object_words(name: str, transaction: Transaction) -> str:
         whose = "part of the robot" if name.startswith("robot/") else "nothing is said of it here"
         return f"**{_plain(name)}**: {whose}."
     return (
-        f"**{_plain(name)}**: {verdict.verdict}. {verdict.agree:,} pixels agree, "
+        f"**{_plain(name)}**: {verdict_words(verdict)}. {verdict.agree:,} pixels agree, "
         f"{verdict.seen_through:,} see through it, in {verdict.hidden:,} something hides it."
     )
 
@@ -104,8 +107,8 @@ def legend(comparison: FrameComparison | None) -> str:
 
 def _proposal_words(proposal: Proposal, transaction: Transaction) -> str:
     evidence, change = proposal.evidence, proposal.change
-    frames = {item.name: item.frames for item in transaction.update.added}.get(proposal.name, ())
-    seen = f" Seen in {', '.join(map(_plain, frames))}." if frames else ""
+    frames = ", ".join(map(_plain, proposal.frames))
+    seen = f" What speaks for it is in {frames}." if frames else ""
     return (
         f"**{_plain(proposal.name)}**: {CHANGES[change]}. {evidence.supporting:,} pixels "
         f"{SUPPORT[change]}, {evidence.contradicting:,} {AGAINST[change]}, in "
