@@ -68,7 +68,19 @@ def read_urdf(file: Path) -> Urdf:
     Raises:
         JobError: For the first mistake, with its key, such as ``joint.elbow.type``.
     """
-    root = read_xml(file)
+    return urdf_of(file, read_xml(file))
+
+
+def urdf_of(file: Path, root: ET.Element) -> Urdf:
+    """Checks a URDF whose XML was read.
+
+    Args:
+        file: Where it comes from, for the message of an error.
+        root: Its ``<robot>`` element.
+
+    Raises:
+        JobError: For the first mistake, with its key, such as ``joint.elbow.type``.
+    """
     materials = _materials(file, root)
     links = tuple(_link(file, element, materials) for element in root.findall("link"))
     joints = tuple(_joint(file, element) for element in root.findall("joint"))

@@ -63,7 +63,7 @@ def import_recording(
     other = _tables(like)
     model = world or _named_in(like, other, "world", "model")
     recorded = _read(source, _with_spares(selection, like, other))
-    written = write_files(recorded, folder, packages, model)
+    written = write_files(source, recorded, folder, packages, model)
     to_fill_in = {**recorded.to_fill_in, **({} if model else _NO_WORLD)}
     remarks = remarks_of(to_fill_in, other)
     missing = {key: words for key, words in to_fill_in.items() if key in remarks}
