@@ -113,6 +113,8 @@ def _is_ours(path: PurePath) -> bool:
 
 def input_files(job: Path) -> tuple[Path, ...]:
     """The job file and every file that it names, without checking anything else of it."""
+    if not _is_file(job):
+        return (job,)
     try:
         table = tomllib.loads(job.read_text(encoding="utf-8"))
     except (OSError, ValueError):

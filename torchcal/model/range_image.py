@@ -11,6 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchcal.errors import JobError, choices
+from torchcal.model.regular_file import refuse_irregular
 from torchcal.model.sensor import Sensor
 
 
@@ -87,6 +88,7 @@ def _read_array(file: Path) -> np.ndarray:
     read = _READERS.get(file.suffix.lower())
     if read is None:
         raise JobError(file, "", f'a name that ends in "{file.suffix}"', choices(_READERS))
+    refuse_irregular(file)
     try:
         return read(file)
     except Exception as error:  # what the readers raise on a broken file is not documented

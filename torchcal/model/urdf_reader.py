@@ -6,6 +6,7 @@ from pathlib import Path
 
 from torchcal.errors import JobError, choices
 from torchcal.model.meshes import FARTHEST
+from torchcal.model.regular_file import irregular
 from torchcal.model.urdf_tree import (
     GEOMETRIES,
     JOINT_KINDS,
@@ -36,7 +37,7 @@ def read_xml(file: Path) -> ET.Element:
         JobError: If the file is missing, is not XML, has a DOCTYPE or is no URDF.
     """
     if not file.is_file():
-        raise JobError(file, "", "no such file", _EXPECTED)
+        raise JobError(file, "", irregular(file) or "no such file", _EXPECTED)
     return parse_xml(file, file.read_bytes())
 
 

@@ -16,6 +16,7 @@ from torchcal.model.recordings.kinds import CAMERA_NOISE, unit_note, unit_of
 from torchcal.model.recordings.recorded import Optics, RangePixels, Recorded, Selection, Taken
 from torchcal.model.recordings.stillness import evenly
 from torchcal.model.recordings.trajectories import Trajectory, read_json, read_trajectory
+from torchcal.model.regular_file import refuse_irregular
 
 _TIMES_APART = 0.05
 """s: the farthest that a pose of a trajectory may be from its image."""
@@ -70,6 +71,7 @@ def _cameras(source: Path) -> dict[Path, dict[str, Any]]:
     """The files of a folder that hold intrinsics as Open3D writes them."""
     found = {}
     for file in sorted(source.glob("*.json")):
+        refuse_irregular(file)
         content = read_json(file.read_text(encoding="utf-8", errors="replace"))
         first = content.get("parameters") if isinstance(content, dict) else None
         if isinstance(first, list) and first and isinstance(first[0], dict):
@@ -157,6 +159,7 @@ def _times(images: list[Path]) -> torch.Tensor:
 
 def _pixels(files: list[Path], projection: Pinhole) -> Iterator[RangePixels]:
     for file in files:
+        refuse_irregular(file)
         try:
             with Image.open(file) as image:
                 pixels = np.array(image)

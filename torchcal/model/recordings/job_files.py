@@ -14,6 +14,7 @@ from torchcal.model.mesh_copy import MeshFolder
 from torchcal.model.recordings.job_tables import Written
 from torchcal.model.recordings.recorded import RangePixels, Recorded
 from torchcal.model.recordings.robot_files import copy_robot
+from torchcal.model.regular_file import irregular
 
 _SATURATED = 65535
 """Cameras that cannot say "not measured" by 0 say it by the largest number."""
@@ -43,7 +44,9 @@ def write_files(
     if recorded.carrier is not None:
         urdf = copy_robot(recorded.carrier.robot, folder / "robot", packages)
     if world is not None and not world.is_file():
-        raise JobError(world, "", "no such file", "a file that trimesh reads as a scene")
+        raise JobError(
+            world, "", irregular(world) or "no such file", "a file that trimesh reads as a scene"
+        )
     model = None if world is None else f"world/{MeshFolder(folder / 'world').add(world)}"
     (folder / "depth").mkdir(parents=True, exist_ok=True)
     images = _write_images(source, recorded, folder)

@@ -15,6 +15,7 @@ from torchcal.errors import JobError
 from torchcal.geometry import se3
 from torchcal.model.recordings.lzf import decode_lzf
 from torchcal.model.recordings.point_fields import xyz
+from torchcal.model.regular_file import refuse_irregular
 
 _HEADER_KEYS = {"FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT", "DATA"}
 _HEADER_BYTES = 4096
@@ -38,6 +39,7 @@ def read_pcd(file: Path) -> CloudFile:
     Raises:
         JobError: If the file cannot be read, or has no x, y and z.
     """
+    refuse_irregular(file)
     try:
         content = file.read_bytes()
         header, body = _header(content)

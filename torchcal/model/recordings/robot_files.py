@@ -8,6 +8,7 @@ from torchcal.errors import JobError
 from torchcal.model.link_meshes import resolve
 from torchcal.model.mesh_copy import MeshFolder
 from torchcal.model.recordings.recorded import RobotSource
+from torchcal.model.regular_file import irregular
 from torchcal.model.urdf import copy_files
 from torchcal.model.urdf_reader import parse_xml, urdf_of
 
@@ -21,7 +22,7 @@ def urdf_file(file: Path) -> RobotSource:
         JobError: If there is no such file.
     """
     if not file.is_file():
-        raise JobError(file, "", "no such file", "a URDF")
+        raise JobError(file, "", irregular(file) or "no such file", "a URDF")
     return RobotSource(xml=file.read_bytes(), named=file)
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchcal.errors import JobError
 from torchcal.geometry import se3
 from torchcal.model.job_mistakes import shown
+from torchcal.model.regular_file import refuse_irregular
 
 _LOOSE = 1e-3
 """How far from a rotation a matrix may be: files hold a few digits."""
@@ -44,6 +45,7 @@ def read_trajectory(file: Path) -> Trajectory | None:
         JobError: If the file begins like a trajectory and does not go on like one, or if a pose
             is no rigid motion.
     """
+    refuse_irregular(file)
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
