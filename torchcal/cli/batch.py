@@ -13,9 +13,10 @@ from rich.console import Console
 from torchcal.cli.batch_job import run_job
 from torchcal.cli.commands import NOT_USABLE, USABLE, device, line
 from torchcal.cli.options import Batch
-from torchcal.cli.output import clear_leftovers, input_files
+from torchcal.cli.output import input_files
 from torchcal.cli.progress import progress
 from torchcal.cli.result_files import as_json
+from torchcal.cli.unfinished import clear_leftovers
 from torchcal.errors import TorchcalError
 from torchcal.fleet import table
 from torchcal.fleet.ledger import find_jobs, fingerprint, finished, read_record
