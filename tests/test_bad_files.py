@@ -122,7 +122,7 @@ MISTAKES = {
         "more than one image",
         "with one image",
     ),
-    "no image at all": (lambda folder: None, ("a.png", "/dev/zero"), "does not exist", "a file at"),
+    "no image at all": (lambda folder: None, ("a.png", "/dev/zero"), "a device", "a regular file"),
     "text": (text("b.npy", "1.5 1.5"), None, "cannot be read", "a readable npy file"),
     "a name of no file": (
         lambda folder: None,

@@ -83,7 +83,7 @@ def test_finished_jobs_are_not_done_again(library, jobs, capsys):
     assert library.done == ["a", "b", "c"]
     after = {name: (jobs.parent / "out" / name / "result.json").stat() for name in "abc"}
     assert {n: s.st_ino for n, s in after.items()} == {n: s.st_ino for n, s in before.items()}
-    assert "3 of them were finished before" in capsys.readouterr().out
+    assert "3 kept from an earlier run: the same job, files and seed" in capsys.readouterr().out
     assert set(rows(jobs)) == set("abc")
 
 
@@ -101,7 +101,7 @@ def test_a_job_that_changed_is_done_again_and_this_is_said(library, jobs, capsys
     change(jobs / "b" / "job.toml")
     assert run(jobs) == 0
     assert library.done == ["a", "b", "c", "b"]
-    assert "1 had changed" in capsys.readouterr().out
+    assert "1 done again: the job" in capsys.readouterr().out
 
 
 def test_another_seed_is_another_answer(library, jobs):

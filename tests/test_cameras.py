@@ -73,3 +73,23 @@ def test_a_rectified_topic_without_p_has_k():
 def test_an_unknown_lens_lists_the_known_ones():
     with pytest.raises(ValueError, match="'kannala'; expected plumb_bob, rational_polynomial"):
         camera_of(info(d=PLUMB, distortion_model="kannala"), "/depth/image_raw")
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"width": 0}, "a width of 0; expected whole pixels"),
+        ({"k": np.where(MATRIX == 50.0, np.inf, MATRIX).ravel()}, "fx = inf; expected a focal"),
+        ({"k": np.where(MATRIX == 30.5, np.nan, MATRIX).ravel()}, "cx = nan; expected the image's"),
+        ({"d": (0.1, np.nan, 0.0, 0.0, 0.0)}, "coefficients .* of the lens; expected finite"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_a_mistake(more: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        camera_of(info(**more), "/camera/depth")
+
+
+def test_a_lens_that_bends_beyond_all_numbers_leaves_the_middle():
+    camera = camera_of(info(d=(1e200, 1e200, 0.0, 0.0, 1e300)), "/camera/depth")
+    taken = camera.rectified(np.ones((48, 64), np.uint16))
+    assert taken.sum() < 48 * 64

@@ -73,3 +73,16 @@ def test_packages_are_named_with_their_folders(text: str):
 
 def test_the_folders_of_packages_are_read(tmp_path: Path):
     assert packages_of([f"arm={tmp_path}"]) == {"arm": tmp_path}
+
+
+def test_a_missing_mesh_is_looked_for_beside_the_robot_not_in_a_folder_that_is_gone(
+    bag: Path, tmp_path: Path, capsys
+):
+    urdf = tmp_path / "other.urdf"
+    mesh = '<visual><geometry><mesh filename="arm.stl"/></geometry></visual>'
+    urdf.write_text(f'<robot name="arm"><link name="camera_link">{mesh}</link></robot>')
+    arguments = ["import", str(bag), "--out", str(tmp_path / "job"), "--urdf", str(urdf)]
+    assert main([*arguments, "--link", "camera_link"]) == 2
+    told = capsys.readouterr().err
+    assert f"found arm.stl; expected an existing file: {tmp_path / 'arm.stl'}" in told
+    assert ".partial-" not in told

@@ -132,3 +132,51 @@ def test_a_real_cloud_without_an_order_becomes_an_image(tmp_path: Path, shared: 
     # The cloud's own note: 0.25 to 0.37 m; a cut-out object fills half of the rectangle.
     assert 0.25 < np.nanmin(image) < np.nanmax(image) < 0.4
     assert np.isfinite(image).mean() > 0.4
+
+
+def test_a_cloud_that_is_not_there_cannot_be_chosen(tmp_path: Path):
+    write_pcd(tmp_path / "a.pcd", points(HOLE, wall(HOLE), OPTICAL), "binary")
+    (tmp_path / "out").mkdir()
+    with pytest.raises(JobError, match=r"--use: found nosuch; expected one of a\.pcd"):
+        import_recording(tmp_path, tmp_path / "out", selection=Selection(use=("nosuch",)))
+
+
+@pytest.mark.parametrize("view", ["1 2 3 0 0 0 0", "1 2 3 1 0 0", "nan 2 3 1 0 0 0"])
+def test_a_viewpoint_that_is_no_pose_is_a_mistake(tmp_path: Path, view: str):
+    file = tmp_path / "a.pcd"
+    write_pcd(file, points(HOLE, wall(HOLE), OPTICAL), "ascii")
+    lines = file.read_text().splitlines()
+    lines = [f"VIEWPOINT {view}" if line.startswith("VIEWPOINT") else line for line in lines]
+    file.write_text("\n".join(lines))
+    with pytest.raises(JobError, match=f"the VIEWPOINT {view}; expected tx ty tz qw"):
+        import_recording(file, tmp_path)
+
+
+@pytest.mark.parametrize("size", ["WIDTH 1000000000000", "WIDTH -4"])
+def test_an_absurd_number_of_points_is_a_mistake(tmp_path: Path, size: str):
+    file = tmp_path / "a.pcd"
+    write_pcd(file, points(HOLE, wall(HOLE), OPTICAL), "binary_compressed")
+    head, data = file.read_bytes().split(b"VIEWPOINT", 1)
+    width = head.index(b"WIDTH")
+    rest = head[head.index(b"\n", width) :]
+    file.write_bytes(head[:width] + size.encode() + rest + b"VIEWPOINT" + data)
+    with pytest.raises(JobError, match="points; expected WIDTH and HEIGHT"):
+        import_recording(file, tmp_path)
+
+
+@pytest.mark.parametrize("word", ["1e400", "1e300", "1e30"])
+@pytest.mark.parametrize("organised", [True, False])
+def test_nonsense_among_the_points_is_no_measurement(tmp_path: Path, word: str, organised: bool):
+    """Any warning of the numbers' overflow would fail here."""
+    image = wall(HOLE)
+    cloud = points(HOLE, image, OPTICAL)
+    file = tmp_path / "a.pcd"
+    write_pcd(file, cloud if organised else cloud.reshape(1, -1, 3), "ascii")
+    lines = file.read_text().splitlines()
+    lines[-1] = " ".join([word] * 3 + lines[-1].split()[3:])
+    file.write_text("\n".join(lines))
+    made = import_recording(file, tmp_path)
+    read = np.load(tmp_path / "depth/0001.npy")
+    assert made.frames == 1
+    assert np.nanmax(read) < 4.0
+    assert np.isnan(read).any()

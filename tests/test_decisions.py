@@ -75,6 +75,8 @@ def test_decisions_that_are_not_named_stay(transaction):
         (["drum"], [], r"no proposal 'drum'; expected one of added-1, crate, wall"),
         (["wall"], ["wall", "crate"], r"found wall both"),
         (["all"], ["all"], r"found all both"),
+        ("wall", [], r"found the text 'wall'; expected a list of names: \['wall'\]"),
+        ([], "all", r"found the text 'all'; expected a list"),
     ],
 )
 def test_wrong_names_are_refused(transaction, accept, reject, words):

@@ -112,6 +112,15 @@ def test_floats_come_back_from_their_quantised_inverse(m: Messages):
         np.testing.assert_allclose(pixels.ravel()[1:], metres.ravel()[1:], atol=0.5 * 25.0 / a)
 
 
+def test_an_inverse_of_zero_is_no_measurement(m: Messages):
+    units = np.full((6, 8), 5, np.uint16)
+    units[0, 0] = 9
+    message = m.compressed(
+        m.header(0.0), "32FC1; compressedDepth png", payload(png(units), 4.0, 5.0)
+    )
+    assert np.flatnonzero(np.isfinite(depth_pixels(message))).tolist() == [0]
+
+
 def test_a_compressed_copy_of_16_bits_is_a_depth_image(m: Messages):
     message = m.compressed(m.header(0.0), "16UC1; png compressed ", png(MILLIMETRES))
     np.testing.assert_array_equal(depth_pixels(message), MILLIMETRES)
@@ -195,7 +204,7 @@ def test_a_broken_image_names_its_topic(tmp_path: Path, m: Messages):
 def test_a_camera_that_was_never_calibrated_is_a_mistake(tmp_path: Path, m: Messages):
     info = m.camera(m.header(0.0), (8, 6), [0.0] * 9)
     image = m.image(m.header(0.0), MILLIMETRES, "16UC1")
-    with pytest.raises(JobError, match=r"camera_info: .* focal length of 0 and 0 pixels"):
+    with pytest.raises(JobError, match=r"camera_info: .*fx = 0; expected a focal length above 0"):
         imported(tmp_path, m, image, info)
 
 

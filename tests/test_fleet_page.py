@@ -1,6 +1,7 @@
 """The page of a fleet: nothing from elsewhere, drift where it is, marks in their places."""
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from html.parser import HTMLParser
 
@@ -82,6 +83,19 @@ def test_a_chart_for_each_kind_of_parameter():
     text = page(fleet(), None)
     titles = re.findall(r"<figcaption>(.*?)</figcaption>", text)
     assert titles == ["Base: position (mm)", "Zero positions of the joints (mm)"] * 2
+
+
+def test_jobs_without_a_robot_are_not_drawn_as_the_drift_of_one():
+    moved = {"base.x": correction(0.001)}
+    rows = [row(name, record(robot=None, corrections=moved)) for name in ("desk", "hall")]
+    text = page(rows, None)
+    assert "<figcaption>" not in text
+    assert "From its first usable job" not in text
+    assert "not compared" in text
+    assert "0 robots" in text
+    # In a folder of their own they are said to be of one sensor.
+    together = [replace(each, job=f"tripod/{each.job}") for each in rows]
+    assert "<figcaption>Base: position (mm)</figcaption>" in page(together, None)
 
 
 def test_a_single_job_is_a_page_too():

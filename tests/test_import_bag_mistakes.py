@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from arm_bag import (
@@ -21,6 +22,7 @@ from torchcal.errors import JobError, TorchcalError
 from torchcal.model.read_job import read_job
 from torchcal.model.recordings.import_recording import import_recording
 from torchcal.model.recordings.recorded import Selection
+from torchcal.model.recordings.transforms import transforms_of
 
 
 def test_clocks_that_differ_are_told_and_the_recorders_is_taken(tmp_path: Path):
@@ -130,3 +132,23 @@ def test_a_robot_that_never_moves_is_told(tmp_path: Path):
     made = imported(tmp_path, [*arm(m, without=(JOINTS,)), *still], m)
     assert "WARNING: the joints never moved" in made.notes
     assert made.frames == 1
+
+
+def moved(seconds: float, w: float) -> SimpleNamespace:
+    """A message of ``tf`` with one transform."""
+    turn, shift = SimpleNamespace(w=w, x=0.0, y=0.0, z=0.0), SimpleNamespace(x=1.0, y=2.0, z=3.0)
+    header = SimpleNamespace(frame_id="/map", seconds=seconds)
+    pose = SimpleNamespace(translation=shift, rotation=turn)
+    each = SimpleNamespace(child_frame_id="camera", header=header, transform=pose)
+    return SimpleNamespace(transforms=[each])
+
+
+def test_quaternions_of_length_0_are_left_out_as_ros_leaves_them_out():
+    messages = [(k, moved(k, w)) for k, w in enumerate((1.0, 0.0, float("nan"), 1.0))]
+    tree = transforms_of(messages, lambda received, _: received)
+    assert tree.edges["camera"].times.tolist() == [0, 3]
+
+
+def test_a_frame_without_a_rigid_motion_is_a_mistake():
+    with pytest.raises(ValueError, match=r"from map with \[1.0, 2.0, 3.0, 0.0.*a rigid motion"):
+        transforms_of([(0, moved(0, 0.0))], lambda received, _: received)

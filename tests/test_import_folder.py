@@ -154,6 +154,92 @@ def test_a_matrix_that_is_no_motion_is_a_mistake(tmp_path: Path):
         imported(source, tmp_path)
 
 
+def tum(*rows: str) -> str:
+    sound = [f"{time} 0 0 0 0 0 0 1" for time in TIMES]
+    return "\n".join([*sound[: 3 - len(rows)], *rows])
+
+
+BROKEN_POSES = [
+    ("groundtruth.txt", tum("3.0 1 2 3 0 0 0 0"), r"line 3: found a quaternion of length 0"),
+    ("slam.txt", tum("3.0 1 2 3 0 0 0"), "line 3: found 7 words; expected time, x, y, z, qx"),
+    ("slam.txt", tum("3.0 nan 2 3 0 0 0 1"), 'line 3: found "nan"; expected finite numbers'),
+    ("trajectory.log", "0 0 1\n1 0 0 0\n0 1 0\n", "line 3: found 3 words"),
+    ("slam.log", "0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0", "line 4: found the end within a pose"),
+    ("slam.log", "0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 1 1", "matrix that is no rigid"),
+    ("camera_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0", "found no poses that can be read"),
+    ("poses.txt", "", "found no poses that can be read"),
+    ("a.json", '{"parameters": [{"extrinsic": [1, 2]}]}', r"\[0\].extrinsic: found \[1, 2\]"),
+    ("a.json", json.dumps({"parameters": [{"extrinsic": ["x"] * 16}]}), "expected a list of 16"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "message"), BROKEN_POSES)
+def test_broken_poses_are_no_missing_poses(tmp_path: Path, name: str, text: str, message: str):
+    source = write_images(tmp_path / "in")
+    (source / name).write_text(text)
+    with pytest.raises(JobError, match=message):
+        imported(source, tmp_path)
+
+
+def test_other_texts_in_the_folder_are_no_poses(tmp_path: Path):
+    source = write_images(tmp_path / "in")
+    (source / "rgb.txt").write_text("# a list\n1.5 rgb/1.png\n")
+    (source / "driver.log").write_text("started\n1 2 3\n")
+    assert "frame.pose" in imported(source, tmp_path).to_fill_in
+
+
+def test_a_file_that_is_not_there_cannot_be_chosen(tmp_path: Path):
+    source = write_images(tmp_path / "in")
+    write_log(source / "slam.log")
+    with pytest.raises(JobError, match=r"--use: found nosuch; expected one of camera.json, slam"):
+        imported(source, tmp_path, selection=Selection(use=("nosuch",)))
+
+
+ABSURD = [
+    ({"width": 1e400}, "a width of inf; expected whole pixels"),
+    ({"height": 6.5}, "a height of 6.5; expected whole pixels"),
+    ({"fx": -9.0}, "fx = -9; expected a focal length above 0"),
+    ({"fy": 0.0}, "fy = 0; expected a focal length above 0"),
+    ({"fx": float("nan")}, "fx = nan"),
+    ({"cx": float("inf")}, "cx = inf; expected the image's centre"),
+    ({"cy": 1e9}, r"cy = 1e\+09; expected the image's centre"),
+]
+
+
+def intrinsics(changed: dict[str, float]) -> str:
+    places = {"fx": 0, "fy": 4, "cx": 6, "cy": 7}
+    matrix = [*INTRINSICS["intrinsic_matrix"]]
+    for key, value in changed.items():
+        if key in places:
+            matrix[places[key]] = value
+    sizes = {key: value for key, value in changed.items() if key not in places}
+    return json.dumps({**INTRINSICS, "intrinsic_matrix": matrix, **sizes})
+
+
+@pytest.mark.parametrize(("changed", "message"), ABSURD)
+def test_absurd_intrinsics_are_a_mistake(tmp_path: Path, changed: dict, message: str):
+    source = write_images(tmp_path / "in")
+    (source / "camera.json").write_text(intrinsics(changed).replace("Infinity", "1e400"))
+    with pytest.raises(JobError, match=rf"camera.json: found intrinsics .*{message}"):
+        imported(source, tmp_path)
+
+
+def test_an_optical_axis_outside_the_image_is_told(tmp_path: Path):
+    source = write_images(tmp_path / "in")
+    (source / "camera.json").write_text(intrinsics({"cx": 20.0}))
+    notes = imported(source, tmp_path).notes
+    assert any(note.startswith("WARNING: the optical axis meets") for note in notes)
+
+
+def test_images_without_a_measurement_are_blamed_on_the_source(tmp_path: Path):
+    source = write_images(tmp_path / "in")
+    for file in (source / "depth").iterdir():
+        Image.fromarray(np.zeros((6, 8), np.uint16)).save(file)
+    with pytest.raises(JobError, match="nothing was measured") as caught:
+        imported(source, tmp_path)
+    assert caught.value.file == source
+
+
 def test_images_without_intrinsics_say_what_is_missing(tmp_path: Path):
     source = write_images(tmp_path / "in")
     (source / "camera.json").unlink()

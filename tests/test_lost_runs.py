@@ -6,7 +6,7 @@ import resource
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -60,6 +60,40 @@ def test_a_run_killed_at_any_moment_leaves_a_whole_result(tmp_path):
         seen.add((folder / FILES[0]).read_text())
         assert len({(folder / name).read_text() for name in FILES}) == 1
     assert len(seen) > 2
+
+
+def test_the_next_run_clears_what_killed_runs_left(tmp_path):
+    folder, left = tmp_path / "result", tmp_path / ".result.partial-0123abcd"
+    (left / "hybrid").mkdir(parents=True)
+    (tmp_path / ".other.partial-0123abcd").mkdir()
+    with replaced_folder(folder):
+        assert not left.exists()
+    assert sorted(each.name for each in tmp_path.iterdir()) == [".other.partial-0123abcd", "result"]
+
+
+def test_what_another_run_is_writing_stays(tmp_path):
+    with replaced_folder(tmp_path / "result") as first:
+        (first / "result.json").write_text("first")
+        with replaced_folder(tmp_path / "result") as second:
+            (second / "result.json").write_text("second")
+        assert (first / "result.json").read_text() == "first"
+    assert (tmp_path / "result" / "result.json").read_text() == "first"
+
+
+def test_an_old_result_that_was_put_aside_comes_back_before_it_is_replaced(tmp_path):
+    old = tmp_path / ".result.old-0123abcd"
+    old.mkdir()
+    (old / "result.json").write_text("before")
+    with suppress(KeyError), replaced_folder(tmp_path / "result"):
+        raise KeyError("the run fails")
+    assert (tmp_path / "result" / "result.json").read_text() == "before"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that can be forked")
+def test_killed_runs_leave_at_most_one_folder_beside_the_result(tmp_path):
+    for _ in range(5):
+        killed_while_writing(tmp_path / "result", 0.05)
+        assert len(list(tmp_path.glob(".result.partial-*"))) <= 1
 
 
 def test_a_system_without_exchange_replaces_by_two_renames(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ from test_follow import JOB, TRUTHS, WANDERING
 from torchcal.calibrate.followed import Followed
 from torchcal.calibrate.result import PixelClass, Status
 from torchcal.cli.main import main
-from torchcal.cli.output import newest
+from torchcal.cli.unfinished import newest, unfinished
 from torchcal.display.view.follow import WAITING, FollowSource
 from torchcal.display.view.words import headline
 from torchcal.errors import TorchcalError
@@ -148,13 +148,22 @@ def test_a_recording_has_nothing_to_decide(followed):
 def test_the_file_that_is_being_written_is_found_before_an_earlier_one(tmp_path):
     out = tmp_path / "out"
     assert newest(out, "frames.jsonl") is None
-    for folder in (out, tmp_path / ".out.partial-00ff"):
+    with unfinished(out) as partial:
+        for folder, stamp in ((out, 1), (partial, 2)):
+            folder.mkdir(exist_ok=True)
+            (folder / "frames.jsonl").write_text("")
+            _set_time(folder / "frames.jsonl", stamp)
+        assert newest(out, "frames.jsonl") == partial / "frames.jsonl"
+        _set_time(out / "frames.jsonl", 3)
+        assert newest(out, "frames.jsonl") == out / "frames.jsonl"
+
+
+def test_what_a_killed_run_left_is_not_found_before_a_result(tmp_path):
+    out, left = tmp_path / "out", tmp_path / ".out.partial-0123abcd"
+    for folder, stamp in ((out, 1), (left, 2)):
         folder.mkdir()
         (folder / "frames.jsonl").write_text("")
-        stamp = 1 if folder == out else 2
         _set_time(folder / "frames.jsonl", stamp)
-    assert newest(out, "frames.jsonl") == tmp_path / ".out.partial-00ff" / "frames.jsonl"
-    _set_time(out / "frames.jsonl", 3)
     assert newest(out, "frames.jsonl") == out / "frames.jsonl"
 
 

@@ -18,7 +18,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene, predict
 from torchcal.calibrate.readings import misreadings
 from torchcal.calibrate.suspicion import suspicions
-from torchcal.model.job import Frame, Job
+from torchcal.model.job import Frame, Job, check_frames
 from torchcal.model.precision import job_in_double
 
 FEW = 0.05
@@ -28,7 +28,12 @@ UNITS = 3.0
 
 
 def check(job: Job) -> JobCheck:
-    """What a job holds and what its images can tell of the unknowns, at the nominal pose."""
+    """What a job holds and what its images can tell of the unknowns, at the nominal pose.
+
+    Raises:
+        TorchcalError: As ``calibrate``.
+    """
+    check_frames(job)
     job = without_prior(job_in_double(job))
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)

@@ -55,7 +55,8 @@ class Transaction:
             reject: Likewise.
 
         Raises:
-            TorchcalError: If there is no such proposal, or one is to be both.
+            TorchcalError: If there is no such proposal, one is to be both, or a name was given
+                where names are expected.
         """
         accepted, rejected = self._named(accept), self._named(reject)
         _refuse_both(accepted & rejected, accept, reject)
@@ -95,6 +96,8 @@ class Transaction:
 
     def _named(self, names: Collection[str]) -> set[str]:
         """The names, if there are such proposals."""
+        if isinstance(names, str):
+            raise TorchcalError(f"found the text {names!r}; expected a list of names: [{names!r}]")
         unknown = sorted(set(names) - set(self.decisions) - {EVERY})
         if unknown:
             found = ", ".join(repr(name) for name in unknown)

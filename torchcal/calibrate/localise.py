@@ -69,11 +69,13 @@ def localise(
         The poses of both stages and what they rest on. A wrong pose is not called converged: what
         explains the image no better than another pose is ambiguous, and what explains it badly
         has failed.
+
+    Raises:
+        TorchcalError: If image or mask are not of the sensor's size.
     """
-    clock = Clock()
+    view, clock = OneView.of(range_image, sensor, mask), Clock()
     with clock.measured("elements of the image"):
         measured = image_features(range_image.double(), sensor, mask)
-    view = OneView.of(range_image, sensor, mask)
     attempt = _attempted(view, site, measured.planes, start, generator, clock)
     if attempt is None:
         return _nothing(clock)

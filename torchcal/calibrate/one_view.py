@@ -20,6 +20,7 @@ from torchcal.geometry import se3
 from torchcal.geometry.projection import pixel_grid
 from torchcal.match.prior_gate import Prior
 from torchcal.model.sensor import Sensor
+from torchcal.model.tensor_mistakes import check_booleans, check_floats
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,7 +42,15 @@ class OneView:
     def of(
         range_image: Float[Tensor, "h w"], sensor: Sensor, mask: Bool[Tensor, "h w"] | None
     ) -> "OneView":
-        """Takes the pixels within the sensor's limits and the mask; None: all of them."""
+        """Takes the pixels within the sensor's limits and the mask; None: all of them.
+
+        Raises:
+            TorchcalError: If image or mask are not of the sensor's size.
+        """
+        size = sensor.projection.height, sensor.projection.width
+        check_floats("range_image", range_image, *size)
+        if mask is not None:
+            check_booleans("mask", mask, *size)
         usable = range_image.isfinite() & (range_image >= sensor.near)
         usable = usable & (range_image <= sensor.far)
         usable = usable if mask is None else usable & mask

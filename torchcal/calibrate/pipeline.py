@@ -30,7 +30,7 @@ from torchcal.calibrate.regions import significant_regions
 from torchcal.calibrate.result import Calibration, FrameComparison, Status
 from torchcal.calibrate.revise import revise
 from torchcal.calibrate.suspicion import suspicions
-from torchcal.model.job import Job
+from torchcal.model.job import Job, check_frames
 from torchcal.model.precision import job_in_double
 from torchcal.model.scene import Scene, build_scene
 from torchcal.render.synthesis import synthesise
@@ -53,7 +53,11 @@ def calibrate(
         estimate: False: compare at the nominal pose, with the prior for P of eq. 3.
         generator: Draws starts and points; on the CPU.
         progress: Called at the beginning and the end of each stage.
+
+    Raises:
+        TorchcalError: If there is no frame, or one of which nobody knows where it was taken.
     """
+    check_frames(job)
     stages = _Stages(progress=progress)
     dtype, job = job.T_world_base.dtype, job_in_double(job)
     bases = None
@@ -92,7 +96,12 @@ def calibrate(
 
 
 def predict(job: Job) -> tuple[Float[Tensor, "h w"], ...]:
-    """What the model predicts at the nominal pose: range images (m), NaN where nothing is met."""
+    """What the model predicts at the nominal pose: range images (m), NaN where nothing is met.
+
+    Raises:
+        TorchcalError: As ``calibrate``.
+    """
+    check_frames(job)
     job = job_in_double(job)
     scene = build_job_scene(job)
     parameters = Parameters.of(job, scene)

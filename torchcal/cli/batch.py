@@ -13,9 +13,10 @@ from rich.console import Console
 from torchcal.cli.batch_job import run_job
 from torchcal.cli.commands import NOT_USABLE, USABLE, device, line
 from torchcal.cli.options import Batch
-from torchcal.cli.output import clear_leftovers, input_files
+from torchcal.cli.output import input_files
 from torchcal.cli.progress import progress
 from torchcal.cli.result_files import as_json
+from torchcal.cli.unfinished import clear_leftovers
 from torchcal.errors import TorchcalError
 from torchcal.fleet import table
 from torchcal.fleet.ledger import find_jobs, fingerprint, finished, read_record
@@ -40,7 +41,7 @@ def run_batch(command: Batch, out: Console, err: Console) -> int:
         clear_leftovers(task.folder for task in tasks)
         before = {task.name: record for task in tasks if (record := finished(task)) is not None}
         todo = [task for task in tasks if task.name not in before]
-        changed = sum(read_record(task.folder) is not None for task in todo)
+        outdated = {task.name for task in todo if read_record(task.folder) is not None}
         ended, interrupted = _run(command, todo, len(before), err)
         rows = [_row(task, before.get(task.name), ended.get(task.name)) for task in tasks]
         parquet = _write(command, rows)
@@ -48,7 +49,7 @@ def run_batch(command: Batch, out: Console, err: Console) -> int:
         found = {"jobs": table.cells(rows, command.robot)}
         out.file.write(as_json(found) + "\n")
     else:
-        _tell(command, rows, (len(before), changed), parquet, out)
+        _tell(command, rows, (len(before), len(outdated & ended.keys())), parquet, out)
     return _status(rows, interrupted)
 
 
@@ -172,11 +173,11 @@ def _tell(
     """The answer on standard output."""
     counts = Counter(row.status for row in rows)
     line(out, f"{len(rows)} jobs: {', '.join(f'{n} {name}' for name, n in counts.items())}")
-    kept, changed = before
+    kept, again = before
     if kept:
-        line(out, f"{kept} of them were finished before and were not done again")
-    if changed:
-        line(out, f"{changed} had changed since they were finished and were done again")
+        line(out, f"{kept} kept from an earlier run: the same job, files and seed")
+    if again:
+        line(out, f"{again} done again: the job, a file that it names or the seed has changed")
     doubtful = [row for row in rows if not row.usable]
     for row in doubtful[:MOST_LINES]:
         tries = f" after {row.attempts} attempts" if row.attempts > 1 else ""

@@ -14,8 +14,9 @@ from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import Calibration, PixelClass, Status
 from torchcal.cli.commands import device
 from torchcal.cli.options import Options
-from torchcal.cli.output import clear_leftovers, input_files, replaced_folder
+from torchcal.cli.output import input_files, replaced_folder
 from torchcal.cli.result_files import write_results
+from torchcal.cli.unfinished import clear_leftovers
 from torchcal.display.figures import class_counts
 from torchcal.fleet.ledger import finished, write_record
 from torchcal.fleet.task import Correction, Record, Task

@@ -1,16 +1,14 @@
 """Writing a folder as a whole or not at all."""
 
 import ctypes
-import glob
 import os
-import re
-import secrets
 import shutil
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePath
 
+from torchcal.cli.unfinished import clear_leftovers, put_aside, unfinished
 from torchcal.errors import TorchcalError
 
 MARKERS = ("result.json", "preview")
@@ -24,9 +22,6 @@ WRITTEN += (".world.partial-*.glb", ".report.partial-*.html")
 
 WRITTEN_FOLDERS = ("meshes", "job")
 """Folders whose files have names that the robot or the demo choose."""
-
-_LEFTOVER = re.compile(r"\.(.+)\.(partial|old)-[0-9a-f]{8}")
-"""What a folder is called while it is written or replaced."""
 
 
 @contextmanager
@@ -42,11 +37,12 @@ def replaced_folder(folder: Path, inputs: tuple[Path, ...] = ()) -> Iterator[Pat
             folder, or cannot be written, or the disk is full.
     """
     target = folder.resolve()
+    clear_leftovers([target])
     refuse_to_lose(target, inputs)
-    partial = _partial(target)
     try:
-        yield partial
-        _swap(partial, target)
+        with unfinished(target) as partial:
+            yield partial
+            _swap(partial, target)
     except OSError as error:
         # What cannot be opened names its file; a write that fails, on a full disk, names none.
         if error.filename is not None:
@@ -55,8 +51,6 @@ def replaced_folder(folder: Path, inputs: tuple[Path, ...] = ()) -> Iterator[Pat
             f"--out {target}: found {error.strerror or error} while it was written; expected room "
             "for the results; what was there before is as it was"
         ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def refuse_to_lose(folder: Path, inputs: tuple[Path, ...] = ()) -> None:
@@ -94,14 +88,6 @@ def foreign_file(folder: Path) -> Path | None:
     return None
 
 
-def newest(folder: Path, name: str) -> Path | None:
-    """A file of a folder, or of the one that is being written to take its place."""
-    target = folder.resolve()
-    folders = (target, *target.parent.glob(f".{glob.escape(target.name)}.partial-*"))
-    files = [each / name for each in folders if (each / name).is_file()]
-    return max(files, key=lambda file: file.stat().st_mtime_ns, default=None)
-
-
 def _is_ours(path: PurePath) -> bool:
     """Whether a path relative to an output folder is one that torchcal writes."""
     parts = path.parts[1:] if path.parts[0] == "result" else path.parts
@@ -114,6 +100,8 @@ def _is_ours(path: PurePath) -> bool:
 
 def input_files(job: Path) -> tuple[Path, ...]:
     """The job file and every file that it names, without checking anything else of it."""
+    if not _is_file(job):
+        return (job,)
     try:
         table = tomllib.loads(job.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -141,35 +129,6 @@ def _texts(value: object) -> Iterator[str]:
             yield from _texts(each)
 
 
-def clear_leftovers(folders: Iterable[Path]) -> None:
-    """Removes what killed processes left half written beside these folders, or half replaced."""
-    names: dict[Path, set[str]] = {}
-    for folder in folders:
-        target = folder.resolve()
-        names.setdefault(target.parent, set()).add(target.name)
-    for parent, known in names.items():
-        for path in list(parent.iterdir()) if parent.is_dir() else ():
-            found = _LEFTOVER.fullmatch(path.name)
-            if found is None or found[1] not in known:
-                continue
-            if found[2] == "old" and not (parent / found[1]).exists():
-                path.rename(parent / found[1])
-            else:
-                shutil.rmtree(path, ignore_errors=True)
-
-
-def _partial(target: Path) -> Path:
-    """A new folder beside the target, with the permissions that a new folder gets."""
-    try:
-        partial = target.with_name(f".{target.name}.partial-{secrets.token_hex(4)}")
-        partial.mkdir(parents=True)
-    except OSError as error:
-        raise TorchcalError(
-            f"--out {target}: found {error.strerror or error}; expected a place that can be written"
-        ) from error
-    return partial
-
-
 def _swap(partial: Path, target: Path) -> None:
     """Puts the partial folder in the place of the target, which comes back if that fails."""
     if not target.exists():
@@ -177,7 +136,7 @@ def _swap(partial: Path, target: Path) -> None:
         return
     if _exchanged(partial, target):
         return
-    old = target.with_name(f".{target.name}.old-{secrets.token_hex(4)}")
+    old = put_aside(target)
     target.rename(old)
     try:
         partial.rename(target)

@@ -14,8 +14,8 @@ from torchcal.calibrate.followed import Followed
 from torchcal.calibrate.kept_result import kept
 from torchcal.cli.commands import USABLE, device, line, print_json
 from torchcal.cli.options import View
-from torchcal.cli.output import newest
 from torchcal.cli.progress import progress
+from torchcal.cli.unfinished import newest
 from torchcal.display.view.follow import FollowSource
 from torchcal.display.view.source import FolderSource, KeptSource, Source
 from torchcal.errors import TorchcalError

@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from torchcal.fleet import chart
 from torchcal.fleet.chart import Chart, Point
-from torchcal.fleet.table import RobotBy, Row, robot_of, time_of
+from torchcal.fleet.table import NO_ROBOT, RobotBy, Row, robot_of, time_of
 
 SHOWN = {"m": (1000.0, "mm"), "rad": (1000.0, "mrad"), "1": (100.0, "%")}
 """Factor and name of the unit that a person reads."""
@@ -56,9 +56,11 @@ class Listed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Robot:
-    """One robot over time."""
+    """One robot over time, or all jobs of which nobody knows whether they are of one."""
 
     name: str
+    known: bool
+    """False: jobs that name no robot, which are not compared with each other."""
     jobs: int
     usable: int
     last: str
@@ -87,13 +89,15 @@ def page(rows: Sequence[Row], by: RobotBy | None) -> str:
     robots: dict[str, list[Row]] = {}
     for row in rows:
         robots.setdefault(robot_of(row, by), []).append(row)
+    listed = [_robot(name, found) for name, found in sorted(robots.items())]
     doubtful = [_listed(row) for row in rows if not row.usable]
     return environment.get_template("page.html.j2").render(
         total=len(rows),
         usable=sum(row.usable for row in rows),
         doubtful=doubtful[:MOST_ROWS],
         left_out=max(0, len(doubtful) - MOST_ROWS),
-        robots=[_robot(name, found) for name, found in sorted(robots.items())],
+        robots=listed,
+        known=sum(robot.known for robot in listed),
         notable=NOTABLE,
         most_rows=MOST_ROWS,
         size=chart,
@@ -106,15 +110,17 @@ def _robot(name: str, rows: Sequence[Row]) -> Robot:
         key=lambda each: (each[0], each[1].job),
     )
     undated = [row for row in rows if time_of(row) is None]
-    changes = _changes([row for _, row in dated if row.usable])
+    known = name != NO_ROBOT
+    changes = _changes([row for _, row in dated if row.usable and known])
     ordered = [*(row for _, row in reversed(dated)), *undated]
     return Robot(
         name=name,
+        known=known,
         jobs=len(rows),
         usable=sum(row.usable for row in rows),
         last=_words(dated[-1][0]) if dated else "–",
         changes=tuple(sorted(changes, key=lambda each: -each.sigmas)),
-        charts=tuple(_charts(dated)),
+        charts=tuple(_charts(dated if known else ())),
         listed=tuple(_listed(row) for row in ordered[:MOST_ROWS]),
     )
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torchcal.errors import JobError
 from torchcal.geometry import se3
 from torchcal.model.meshes import merged, painted, read_scene, transformed, triangles
+from torchcal.model.regular_file import irregular
 from torchcal.model.urdf_tree import Link, Origin, Shape
 
 MESH_FORMATS = (".dae", ".obj", ".stl")
@@ -62,7 +63,8 @@ def resolve(urdf: Path, filename: str, key: str) -> Path:
         tried = (
             " or ".join(map(str, candidates)) or f"a package folder {parts.netloc} near the URDF"
         )
-        raise JobError(urdf, key, filename, f"an existing file: {tried}")
+        odd = next((f", {each}" for path in candidates if (each := irregular(path))), "")
+        raise JobError(urdf, key, f"{filename}{odd}", f"an existing file: {tried}")
     return found
 
 

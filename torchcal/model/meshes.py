@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
+from trimesh.resolvers import FilePathResolver
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.color import to_rgba, uv_to_color
 
@@ -26,6 +27,7 @@ from torchcal.model.paint import (
     material_image,
     paint_of,
 )
+from torchcal.model.regular_file import irregular
 
 FARTHEST = 1e6
 """m: no place or size of a robot's surroundings is beyond it; it was given in another unit."""
@@ -47,14 +49,28 @@ def read_scene(file: Path, key: str = "", named_in: Path | None = None) -> trime
     """
     where = named_in or file
     if not file.is_file():
-        raise JobError(where, key, f"no file {file}", "a file with triangles")
+        found = f"{file.name}, {irregular(file)}" if irregular(file) else f"no file {file}"
+        raise JobError(where, key, found, "a file with triangles")
     options: dict[str, Any] = {"split_objects": True} if file.suffix.lower() == ".obj" else {}
     try:
-        return trimesh.load_scene(str(file), process=False, **options)
+        return trimesh.load_scene(
+            str(file), resolver=_RegularFiles(str(file)), process=False, **options
+        )
     except Exception as error:  # each of trimesh's loaders raises errors of its own
         raise JobError(
             where, key, f"{file.name}, which cannot be read ({error})", "a file with triangles"
         ) from error
+
+
+class _RegularFiles(FilePathResolver):
+    """What a file with geometry names beside itself; a pipe among it would never be read whole."""
+
+    def absolute(self, name: str) -> Path:
+        path = super().absolute(name)
+        found = irregular(path)
+        if found:
+            raise ValueError(f"{name} is {found}")
+        return path
 
 
 def reach(mesh: trimesh.Trimesh, T: NDArray[np.float64]) -> float:

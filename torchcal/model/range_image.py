@@ -11,12 +11,18 @@ from PIL import Image
 from torch import Tensor
 
 from torchcal.errors import JobError, choices
+from torchcal.model.regular_file import refuse_irregular
 from torchcal.model.sensor import Sensor
+from torchcal.model.tensor_mistakes import check_booleans, check_floats
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RangeImage:
-    """One measured image."""
+    """One measured image.
+
+    Raises:
+        TorchcalError: If ``range`` or ``usable`` is no image, or they differ in size.
+    """
 
     name: str
     """The file's name without its folder and ending."""
@@ -26,6 +32,10 @@ class RangeImage:
     """Depth or distance (m); NaN where nothing was measured."""
     usable: Bool[Tensor, "h w"]
     """Pixels that may be used at all: the job's mask."""
+
+    def __post_init__(self):
+        check_floats("RangeImage.range", self.range, "h", "w")
+        check_booleans("RangeImage.usable", self.usable, *self.range.shape)
 
     @staticmethod
     def blank(name: str, file: str, sensor: Sensor) -> "RangeImage":
@@ -87,6 +97,7 @@ def _read_array(file: Path) -> np.ndarray:
     read = _READERS.get(file.suffix.lower())
     if read is None:
         raise JobError(file, "", f'a name that ends in "{file.suffix}"', choices(_READERS))
+    refuse_irregular(file)
     try:
         return read(file)
     except Exception as error:  # what the readers raise on a broken file is not documented

@@ -18,6 +18,7 @@ from torchcal.model.check_job import check_joint, joint_kind
 from torchcal.model.job import Frame
 from torchcal.model.job_schema import FrameTable, PoseTable
 from torchcal.model.range_image import RangeImage, read_mask, read_range
+from torchcal.model.regular_file import irregular
 from torchcal.model.robot import Robot
 from torchcal.model.sensor import Sensor
 
@@ -93,12 +94,14 @@ def existing_file(file: Path, key: str, named: str) -> Path:
     """The path of a file that a job names.
 
     Raises:
-        JobError: If there is no such file.
+        JobError: If there is no such file, or it is a pipe or a device.
     """
     path = file.parent / named
     # Unlike the methods of Path these do not raise on a name that no file can have.
     if os.path.isfile(path):
         return path
+    if odd := irregular(path):
+        raise JobError(file, key, f'"{named}", {odd}', "a regular file")
     folder = os.path.isdir(path)
     siblings = os.listdir(path.parent) if os.path.isdir(path.parent) and not folder else []
     close = get_close_matches(path.name, siblings, n=1)

@@ -23,6 +23,7 @@ from torchcal.model.job_schema import (
 )
 from torchcal.model.read_frames import FrameFile, existing_file, find_frames, pose
 from torchcal.model.read_sensor import read_sensor, with_preset
+from torchcal.model.regular_file import refuse_irregular
 from torchcal.model.robot import Robot, load_robot
 from torchcal.model.world import World, load_world
 
@@ -119,6 +120,7 @@ def read_recording(
 
 
 def _read_tables(file: Path) -> JobTable:
+    refuse_irregular(file)
     try:
         raw = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except OSError as error:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from torchcal.errors import JobError, choices
 from torchcal.model.meshes import FARTHEST
+from torchcal.model.regular_file import irregular
 from torchcal.model.urdf_tree import (
     GEOMETRIES,
     JOINT_KINDS,
@@ -36,7 +37,7 @@ def read_xml(file: Path) -> ET.Element:
         JobError: If the file is missing, is not XML, has a DOCTYPE or is no URDF.
     """
     if not file.is_file():
-        raise JobError(file, "", "no such file", _EXPECTED)
+        raise JobError(file, "", irregular(file) or "no such file", _EXPECTED)
     return parse_xml(file, file.read_bytes())
 
 
@@ -68,7 +69,19 @@ def read_urdf(file: Path) -> Urdf:
     Raises:
         JobError: For the first mistake, with its key, such as ``joint.elbow.type``.
     """
-    root = read_xml(file)
+    return urdf_of(file, read_xml(file))
+
+
+def urdf_of(file: Path, root: ET.Element) -> Urdf:
+    """Checks a URDF whose XML was read.
+
+    Args:
+        file: Where it comes from, for the message of an error.
+        root: Its ``<robot>`` element.
+
+    Raises:
+        JobError: For the first mistake, with its key, such as ``joint.elbow.type``.
+    """
     materials = _materials(file, root)
     links = tuple(_link(file, element, materials) for element in root.findall("link"))
     joints = tuple(_joint(file, element) for element in root.findall("joint"))

@@ -27,13 +27,18 @@ from torchcal.model.meshes import (
     transformed,
     triangles,
 )
+from torchcal.model.tensor_mistakes import check_floats
 
 _ONE_OBJECT_FORMATS = (".stl", ".ply", ".off")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorldObject:
-    """One named node of the world's file."""
+    """One named node of the world's file.
+
+    Raises:
+        TorchcalError: If its pose is no 4x4 matrix.
+    """
 
     name: str
     mesh: trimesh.Trimesh
@@ -41,6 +46,9 @@ class WorldObject:
     T_world_object: Float[Tensor, "4 4"]
     extras: Mapping[str, Any] = field(default_factory=dict)
     """What a GLTF says of the node beside its geometry: plain data."""
+
+    def __post_init__(self):
+        check_floats("WorldObject.T_world_object", self.T_world_object, 4, 4)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

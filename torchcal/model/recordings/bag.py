@@ -99,7 +99,7 @@ def bag_files(source: Path) -> list[Path]:
         return [source] if source.suffix in SUFFIXES else []
     if (source / "metadata.yaml").is_file():
         return [source]
-    return sorted(path for path in source.glob("*") if path.suffix in SUFFIXES)
+    return sorted(path for path in source.glob("*") if path.suffix in SUFFIXES and path.is_file())
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchcal.errors import JobError
 from torchcal.model.recordings.bag import Bag, opened_bag
-from torchcal.model.recordings.cameras import Camera, camera_of
+from torchcal.model.recordings.cameras import Camera, camera_of, centre_note
 from torchcal.model.recordings.cloud_images import cloud_images
 from torchcal.model.recordings.depth_messages import depth_pixels
 from torchcal.model.recordings.kinds import (
@@ -84,7 +84,7 @@ def _checked(file: Path, topic: str, make: Callable[[Any], Any], message: Any) -
     """What is made of a message; a message that cannot be used is a mistake of its topic."""
     try:
         return make(message)
-    except (ValueError, TypeError, OSError, IndexError, SyntaxError) as error:
+    except (ValueError, TypeError, OSError, IndexError, SyntaxError, OverflowError) as error:
         found = f"a message that cannot be used: {error}"
         raise JobError(file, topic, found, "whole messages of one kind") from error
 
@@ -112,13 +112,14 @@ def _depth(bag: Bag, topics: Topics, received: tuple[int, ...], selection: Selec
 
 def _depth_image(message: Any, camera: Camera, unit: float) -> RangePixels:
     pixels = camera.rectified(depth_pixels(message))
-    return pixels if pixels.dtype.kind == "u" else (pixels * unit).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return pixels if pixels.dtype.kind == "u" else (pixels * unit).astype(np.float32)
 
 
 def _depth_notes(
     camera: Camera, pixels: RangePixels, selection: Selection, topic: str
 ) -> tuple[str, ...]:
-    notes = []
+    notes = [*centre_note(camera.pinhole)]
     if camera.lens:
         shift = camera.largest_shift()
         notes.append(

@@ -77,13 +77,21 @@ def find_mount(bag: Bag, clock: Clock, robot: RobotSource, frame: str, link: str
 
 
 def transforms(bag: Bag, clock: Clock, *, static: bool) -> Transforms:
-    """The frames of a bag; only those of ``tf_static``, or all."""
+    """The frames of a bag; only those of ``tf_static``, or all.
+
+    Raises:
+        JobError: If a frame has no transform that is a rigid motion.
+    """
     topics = bag.of_type("TFMessage", "tfMessage")
     topics = [topic for topic in topics if not static or topic.endswith(_STATIC)]
     messages = (each for topic in topics for each in bag.messages(topic))
-    return transforms_of(
-        messages, lambda received, header: clock.time(header_stamp(header), received)
-    )
+    try:
+        return transforms_of(
+            messages, lambda received, header: clock.time(header_stamp(header), received)
+        )
+    except ValueError as error:
+        found, _, expected = str(error).partition("; expected ")
+        raise JobError(bag.file, ", ".join(topics), found, expected) from error
 
 
 def poses_of(

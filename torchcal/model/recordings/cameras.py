@@ -1,5 +1,6 @@
 """From ``CameraInfo`` messages to pinholes, and what their lenses bend."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,9 @@ from torchcal.geometry.projection import Pinhole
 from torchcal.model.recordings.recorded import RangePixels
 
 Grid = NDArray[np.float64]
+
+_MOST_PIXELS = 100_000
+"""Wider images, and centres farther away, are none of a camera."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,7 +47,9 @@ class Camera:
         hole = self.pinhole
         u, v = np.meshgrid(np.arange(hole.width, dtype=float), np.arange(hole.height, dtype=float))
         x, y = (u - hole.cx) / hole.fx, (v - hole.cy) / hole.fy
-        x, y = _LENSES[self.lens](x, y, self.coefficients)
+        # Far outside the image a polynomial may grow beyond all numbers: no pixel is there.
+        with np.errstate(all="ignore"):
+            x, y = _LENSES[self.lens](x, y, self.coefficients)
         return hole.fx * x + hole.cx, hole.fy * y + hole.cy
 
 
@@ -65,15 +71,46 @@ def camera_of(info: Any, topic: str) -> Camera:
     fx, cx, fy, cy = (
         [projection[i] for i in (0, 2, 5, 6)] if rectified else [matrix[i] for i in (0, 2, 4, 5)]
     )
-    if not (fx > 0.0 and fy > 0.0):
-        raise ValueError(f"a focal length of {fx:g} and {fy:g} pixels; expected more than 0")
-    hole = Pinhole(width=int(info.width), height=int(info.height), fx=fx, fy=fy, cx=cx, cy=cy)
+    hole = pinhole_of(float(info.width), float(info.height), (fx, fy), (cx, cy))
     if rectified or not any(bent):
         return Camera(pinhole=hole)
     lens = info.distortion_model or "plumb_bob"
     if lens not in _LENSES:
         raise ValueError(f"the lens {lens!r}; expected {', '.join(_LENSES)} or a rectified topic")
+    if not np.isfinite(bent).all():
+        raise ValueError(f"coefficients {bent} of the lens; expected finite numbers")
     return Camera(pinhole=hole, lens=lens, coefficients=tuple(bent))
+
+
+def pinhole_of(
+    width: float, height: float, focal: tuple[float, float], centre: tuple[float, float]
+) -> Pinhole:
+    """A pinhole of numbers that somebody wrote down: pixels, x before y.
+
+    Raises:
+        ValueError: If no camera can have them.
+    """
+    for name, size in (("width", width), ("height", height)):
+        if not (1 <= size <= _MOST_PIXELS and size == int(size)):
+            raise ValueError(f"a {name} of {size:g}; expected whole pixels, 1 to {_MOST_PIXELS}")
+    for name, length in zip(("fx", "fy"), focal, strict=True):
+        if not 0.0 < length < math.inf:
+            raise ValueError(f"{name} = {length:g}; expected a focal length above 0 pixels")
+    for name, place in zip(("cx", "cy"), centre, strict=True):
+        if not abs(place) <= _MOST_PIXELS:
+            raise ValueError(f"{name} = {place:g}; expected the image's centre in pixels")
+    (fx, fy), (cx, cy) = focal, centre
+    return Pinhole(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def centre_note(hole: Pinhole) -> tuple[str, ...]:
+    """What a person should know of an optical axis that leaves the image; else nothing."""
+    if 0.0 <= hole.cx <= hole.width - 1 and 0.0 <= hole.cy <= hole.height - 1:
+        return ()
+    return (
+        f"WARNING: the optical axis meets the image plane at ({hole.cx:g}, {hole.cy:g}), outside "
+        f"the {hole.width}x{hole.height} pixels: right only for images that were cut out",
+    )
 
 
 def _field(info: Any, name: str) -> Any:

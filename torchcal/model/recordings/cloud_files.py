@@ -9,10 +9,10 @@ import trimesh
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.errors import JobError
+from torchcal.errors import JobError, choices
 from torchcal.model.meshes import read_scene
 from torchcal.model.recordings.cloud_images import cloud_images
-from torchcal.model.recordings.layout import Points
+from torchcal.model.recordings.layout import Points, sound
 from torchcal.model.recordings.pcd import CloudFile, read_pcd
 from torchcal.model.recordings.recorded import Recorded, Selection, Taken
 from torchcal.model.recordings.stillness import evenly
@@ -36,9 +36,12 @@ def read_clouds(source: Path, selection: Selection) -> Recorded:
             where it stood; a PLY file does not.
 
     Raises:
-        JobError: If a file cannot be read, or holds no points.
+        JobError: If a file cannot be read, holds no points, or is named and not there.
     """
     files = cloud_paths(source)
+    for name in selection.use:
+        if name not in {file.name for file in files}:
+            raise JobError(source, "--use", name, choices(file.name for file in files))
     files = [file for file in files if file.name in selection.use] or files
     taken = [files[k] for k in evenly(len(files), selection.frames)]
     try:
@@ -88,4 +91,4 @@ def _read_ply(file: Path) -> CloudFile:
     if not parts:
         raise JobError(file, "", "no points", "a PLY file with vertices")
     eye: Float[Tensor, "4 4"] = torch.eye(4, dtype=torch.float64)
-    return CloudFile(points=np.concatenate(parts)[None], T_world_sensor=eye)
+    return CloudFile(points=sound(np.concatenate(parts)[None]), T_world_sensor=eye)

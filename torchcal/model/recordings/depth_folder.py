@@ -9,12 +9,14 @@ import numpy as np
 import torch
 from PIL import Image
 
-from torchcal.errors import JobError
+from torchcal.errors import JobError, choices
 from torchcal.geometry.projection import Pinhole
+from torchcal.model.recordings.cameras import centre_note, pinhole_of
 from torchcal.model.recordings.kinds import CAMERA_NOISE, unit_note, unit_of
 from torchcal.model.recordings.recorded import Optics, RangePixels, Recorded, Selection, Taken
 from torchcal.model.recordings.stillness import evenly
 from torchcal.model.recordings.trajectories import Trajectory, read_json, read_trajectory
+from torchcal.model.regular_file import refuse_irregular
 
 _TIMES_APART = 0.05
 """s: the farthest that a pose of a trajectory may be from its image."""
@@ -44,6 +46,7 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
         JobError: If something is missing, broken, or there several times.
     """
     images = depth_images(source)
+    _check_use(source, selection.use)
     file = _one(source, "camera intrinsics", list(_cameras(source)), selection.use)
     projection = _pinhole(file, _cameras(source)[file])
     trajectory = _trajectory(source, selection.use)
@@ -52,7 +55,7 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
     taken = [known[k] for k in evenly(len(known), selection.frames)]
     whole = np.dtype(np.uint16)
     notes = [f"{len(taken)} of {len(images)} images were taken, at equal steps"]
-    notes += unit_note(whole, selection)
+    notes += [*centre_note(projection), *unit_note(whole, selection)]
     return Recorded(
         optics=Optics(
             projection=projection, sigma=CAMERA_NOISE, beam=1, depth_unit=unit_of(whole, selection)
@@ -68,6 +71,7 @@ def _cameras(source: Path) -> dict[Path, dict[str, Any]]:
     """The files of a folder that hold intrinsics as Open3D writes them."""
     found = {}
     for file in sorted(source.glob("*.json")):
+        refuse_irregular(file)
         content = read_json(file.read_text(encoding="utf-8", errors="replace"))
         first = content.get("parameters") if isinstance(content, dict) else None
         if isinstance(first, list) and first and isinstance(first[0], dict):
@@ -81,11 +85,11 @@ def _pinhole(file: Path, content: dict[str, Any]) -> Pinhole:
     """The intrinsic matrix is there column by column."""
     try:
         fx, _, _, _, fy, _, cx, cy, _ = (float(value) for value in content["intrinsic_matrix"])
-        width, height = int(content["width"]), int(content["height"])
-    except (KeyError, TypeError, ValueError) as error:
+        width, height = float(content["width"]), float(content["height"])
+        return pinhole_of(width, height, (fx, fy), (cx, cy))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         expected = "width, height and an intrinsic_matrix of nine numbers"
         raise JobError(file, "", f"intrinsics that cannot be used ({error})", expected) from error
-    return Pinhole(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def _one(source: Path, what: str, files: list[Path], use: tuple[str, ...]) -> Path:
@@ -102,11 +106,29 @@ def _one(source: Path, what: str, files: list[Path], use: tuple[str, ...]) -> Pa
 
 
 def _trajectory(source: Path, use: tuple[str, ...]) -> Trajectory | None:
-    files = [
+    found = {file: each for file in _texts(source) if (each := read_trajectory(file)) is not None}
+    cameras = _cameras(source)
+    for file in _texts(source):
+        said = file.stem in _LIKELY_NAMES or file.name in use
+        if said and file not in found and file not in cameras:
+            expected = "poses: a .log or .json of Open3D, or a .txt of the TUM benchmark"
+            raise JobError(file, "", "no poses that can be read", expected)
+    return found[_one(source, "poses", list(found), use)] if found else None
+
+
+def _texts(source: Path) -> list[Path]:
+    """The files of a folder that may hold poses."""
+    return [
         path for suffix in ("log", "txt", "json") for path in sorted(source.glob(f"*.{suffix}"))
     ]
-    found = {file: each for file in files if (each := read_trajectory(file)) is not None}
-    return found[_one(source, "poses", list(found), use)] if found else None
+
+
+def _check_use(source: Path, use: tuple[str, ...]) -> None:
+    """Every file that a person named must be there."""
+    names = [file.name for file in _texts(source)]
+    for name in use:
+        if name not in names:
+            raise JobError(source, "--use", name, choices(names))
 
 
 def _paired(source: Path, images: list[Path], trajectory: Trajectory) -> dict[int, torch.Tensor]:
@@ -137,6 +159,7 @@ def _times(images: list[Path]) -> torch.Tensor:
 
 def _pixels(files: list[Path], projection: Pinhole) -> Iterator[RangePixels]:
     for file in files:
+        refuse_irregular(file)
         try:
             with Image.open(file) as image:
                 pixels = np.array(image)

@@ -66,4 +66,5 @@ def _png(data: bytes) -> NDArray[np.uint16]:
 def _metres(quantised: NDArray[np.uint16], a: float, b: float) -> NDArray[np.float32]:
     """Floats were sent as a / depth + b, 0 where nothing was measured."""
     inverse = np.where(quantised == 0, np.nan, quantised.astype(np.float64) - b)
-    return (a / inverse).astype(np.float32)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        return (a / inverse).astype(np.float32)

@@ -15,6 +15,7 @@ from torchcal.model.recordings.depth_folder import depth_images, read_depth_fold
 from torchcal.model.recordings.job_files import write_files
 from torchcal.model.recordings.job_tables import job_tables, remarks_of, with_tables_of
 from torchcal.model.recordings.recorded import Recorded, Selection
+from torchcal.model.regular_file import refuse_irregular
 from torchcal.model.write_job import write_job
 
 JOB = "job.toml"
@@ -63,7 +64,7 @@ def import_recording(
     other = _tables(like)
     model = world or _named_in(like, other, "world", "model")
     recorded = _read(source, _with_spares(selection, like, other))
-    written = write_files(recorded, folder, packages, model)
+    written = write_files(source, recorded, folder, packages, model)
     to_fill_in = {**recorded.to_fill_in, **({} if model else _NO_WORLD)}
     remarks = remarks_of(to_fill_in, other)
     missing = {key: words for key, words in to_fill_in.items() if key in remarks}
@@ -99,6 +100,7 @@ def _read(source: Path, selection: Selection) -> Recorded:
         raise JobError(source, "--frames", f"{selection.frames}", "1 or more")
     if not source.exists():
         raise JobError(source, "", "no such file or folder", _RECORDINGS)
+    refuse_irregular(source)
     if bag_files(source):
         return read_bag(source, selection)
     images, clouds = len(depth_images(source)), len(cloud_paths(source))
@@ -129,6 +131,7 @@ def _tables(like: Path | None) -> dict[str, Any]:
     """The tables of another job; none if there is no file."""
     if like is None:
         return {}
+    refuse_irregular(like)
     try:
         tables = tomllib.loads(like.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:

@@ -14,17 +14,23 @@ from torchcal.model.mesh_copy import MeshFolder
 from torchcal.model.recordings.job_tables import Written
 from torchcal.model.recordings.recorded import RangePixels, Recorded
 from torchcal.model.recordings.robot_files import copy_robot
+from torchcal.model.regular_file import irregular
 
 _SATURATED = 65535
 """Cameras that cannot say "not measured" by 0 say it by the largest number."""
 
 
 def write_files(
-    recorded: Recorded, folder: Path, packages: Mapping[str, Path], world: Path | None
+    source: Path,
+    recorded: Recorded,
+    folder: Path,
+    packages: Mapping[str, Path],
+    world: Path | None,
 ) -> Written:
     """Writes everything that a job names into its folder.
 
     Args:
+        source: Where the recording is, for errors.
         recorded: The recording; its images are read.
         folder: Of the job.
         packages: Where the packages are that ``package://`` means in the URDF, by name.
@@ -38,14 +44,16 @@ def write_files(
     if recorded.carrier is not None:
         urdf = copy_robot(recorded.carrier.robot, folder / "robot", packages)
     if world is not None and not world.is_file():
-        raise JobError(world, "", "no such file", "a file that trimesh reads as a scene")
+        raise JobError(
+            world, "", irregular(world) or "no such file", "a file that trimesh reads as a scene"
+        )
     model = None if world is None else f"world/{MeshFolder(folder / 'world').add(world)}"
     (folder / "depth").mkdir(parents=True, exist_ok=True)
-    images = _write_images(recorded, folder)
+    images = _write_images(source, recorded, folder)
     return replace(images, urdf=urdf and str(urdf.relative_to(folder)), world=model)
 
 
-def _write_images(recorded: Recorded, folder: Path) -> Written:
+def _write_images(source: Path, recorded: Recorded, folder: Path) -> Written:
     names: list[str | None] = []
     near, far, whole = math.inf, 0.0, False
     for number, pixels in enumerate(recorded.images, start=1):
@@ -59,7 +67,7 @@ def _write_images(recorded: Recorded, folder: Path) -> Written:
         names.append(name)
         near, far = float(ranges.min(initial=near)), float(ranges.max(initial=far))
     if far == 0.0:
-        raise JobError(folder, "", "images in which nothing was measured", "some ranges")
+        raise JobError(source, "", "images in which nothing was measured", "some ranges")
     limits = math.floor(near * 100.0) / 100.0, math.ceil(far * 10.0 + 1e-9) / 10.0
     return Written(images=tuple(names), limits=limits, whole=whole, urdf=None, world=None)
 

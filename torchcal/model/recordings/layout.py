@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole, Spherical
+from torchcal.model.meshes import FARTHEST
 
 Points = NDArray[np.float64]
 
@@ -48,6 +49,11 @@ class Layout:
 def measured(points: Points) -> NDArray[np.bool_]:
     """Which points ``(*batch 3)`` were measured: some sensors send 0 or NaN for the others."""
     return np.logical_and(np.isfinite(points).all(-1), points.any(-1))
+
+
+def sound(points: Points) -> Points:
+    """Points ``(*batch 3)`` (m) with NaN for those that are infinitely or absurdly far away."""
+    return np.where((np.abs(points) < FARTHEST).all(-1, keepdims=True), points, np.nan)
 
 
 def angles(points: Points) -> tuple[Points, Points]:

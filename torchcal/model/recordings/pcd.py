@@ -1,6 +1,7 @@
 """PCD files of the Point Cloud Library: text, binary and compressed."""
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from torchcal.errors import JobError
 from torchcal.geometry import se3
 from torchcal.model.recordings.lzf import decode_lzf
 from torchcal.model.recordings.point_fields import xyz
+from torchcal.model.regular_file import refuse_irregular
 
 _HEADER_KEYS = {"FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT", "DATA"}
 _HEADER_BYTES = 4096
+_MOST_POINTS = 100_000_000
 _NO_TURN = ("0", "0", "0", "1", "0", "0", "0")
 
 
@@ -36,18 +39,27 @@ def read_pcd(file: Path) -> CloudFile:
     Raises:
         JobError: If the file cannot be read, or has no x, y and z.
     """
+    refuse_irregular(file)
     try:
         content = file.read_bytes()
         header, body = _header(content)
         records = _records(header, body)
         height, width = int(header["HEIGHT"][0]), int(header["WIDTH"][0])
         points = xyz(records).reshape(height, width, 3)
-        view = [float(word) for word in header.get("VIEWPOINT", _NO_TURN)]
+        pose = _viewpoint(header.get("VIEWPOINT", _NO_TURN))
     except (OSError, KeyError, ValueError, IndexError, struct.error, TypeError) as error:
         found = f"a cloud that cannot be read ({error})"
         raise JobError(file, "", found, "a PCD file of version 0.7 with x, y and z") from error
-    pose = torch.tensor(view, dtype=torch.float64)
-    return CloudFile(points=points, T_world_sensor=se3.from_quaternion(pose[:3], pose[3:7]))
+    return CloudFile(points=points, T_world_sensor=pose)
+
+
+def _viewpoint(words: Sequence[str]) -> Float[Tensor, "4 4"]:
+    """Position and quaternion, its real part first."""
+    view = torch.tensor([float(word) for word in words], dtype=torch.float64)
+    if len(view) != len(_NO_TURN) or not view.isfinite().all() or view[3:].norm() == 0.0:
+        found = f"the VIEWPOINT {' '.join(words)}"
+        raise ValueError(f"{found}; expected tx ty tz qw qx qy qz, the quaternion not 0")
+    return se3.from_quaternion(view[:3], view[3:])
 
 
 def _header(content: bytes) -> tuple[dict[str, list[str]], bytes]:
@@ -69,6 +81,9 @@ def _header(content: bytes) -> tuple[dict[str, list[str]], bytes]:
 
 def _records(header: dict[str, list[str]], body: bytes) -> np.ndarray:
     kind, count = _record_kind(header), int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+    if int(header["WIDTH"][0]) < 0 or not 0 <= count <= _MOST_POINTS:
+        size = f"{header['WIDTH'][0]} x {header['HEIGHT'][0]}"
+        raise ValueError(f"{size} points; expected WIDTH and HEIGHT, at most {_MOST_POINTS} points")
     match header["DATA"][0]:
         case "ascii":
             return _from_text(header, body, kind, count)
@@ -101,9 +116,11 @@ def _from_text(header: dict[str, list[str]], body: bytes, kind: np.dtype, count:
     numbers = np.array([float(word) for word in body.split()], np.float64)
     rows = numbers.reshape(count, sum(counts))
     records = np.zeros(count, kind)
-    for name in "xyz":
-        if name in header["FIELDS"]:
-            records[name] = rows[:, sum(counts[: header["FIELDS"].index(name)])]
+    # A number that is too large for its field becomes infinite: not measured.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for name in "xyz":
+            if name in header["FIELDS"]:
+                records[name] = rows[:, sum(counts[: header["FIELDS"].index(name)])]
     return records
 
 

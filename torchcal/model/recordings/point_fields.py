@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchcal.errors import choices
+from torchcal.model.recordings.layout import sound
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """``sensor_msgs/PointField``"""
@@ -36,7 +37,7 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
 
 
 def xyz(records: np.ndarray) -> NDArray[np.float64]:
-    """The coordinates ``(*batch 3)`` of records with the fields x, y and z.
+    """The coordinates ``(*batch 3)`` of records with the fields x, y and z; NaN: not measured.
 
     Raises:
         ValueError: If a field is missing.
@@ -45,4 +46,4 @@ def xyz(records: np.ndarray) -> NDArray[np.float64]:
     for name in "xyz":
         if name not in names:
             raise ValueError(f"no field {name}; expected x, y and z, found {choices(names)}")
-    return np.stack([records[name].astype(np.float64) for name in "xyz"], -1)
+    return sound(np.stack([records[name].astype(np.float64) for name in "xyz"], -1))

@@ -8,8 +8,9 @@ from torchcal.errors import JobError
 from torchcal.model.link_meshes import resolve
 from torchcal.model.mesh_copy import MeshFolder
 from torchcal.model.recordings.recorded import RobotSource
+from torchcal.model.regular_file import irregular
 from torchcal.model.urdf import copy_files
-from torchcal.model.urdf_reader import parse_xml, read_urdf
+from torchcal.model.urdf_reader import parse_xml, urdf_of
 
 _PACKAGE = "package://"
 
@@ -21,7 +22,7 @@ def urdf_file(file: Path) -> RobotSource:
         JobError: If there is no such file.
     """
     if not file.is_file():
-        raise JobError(file, "", "no such file", "a URDF")
+        raise JobError(file, "", irregular(file) or "no such file", "a URDF")
     return RobotSource(xml=file.read_bytes(), named=file)
 
 
@@ -43,11 +44,11 @@ def copy_robot(source: RobotSource, folder: Path, packages: Mapping[str, Path]) 
     root = parse_xml(source.named, source.xml)
     for element in [*root.iter("mesh"), *root.iter("texture")]:
         element.set("filename", _located(element.get("filename", ""), packages))
+    _check(source, root)
     folder.mkdir(parents=True, exist_ok=True)
     urdf = folder / "robot.urdf"
     copy_files(source.named, root, MeshFolder(folder / "meshes"))
     ET.ElementTree(root).write(urdf, encoding="utf-8", xml_declaration=True)
-    _check_meshes(source, urdf)
     return urdf
 
 
@@ -58,17 +59,17 @@ def _located(name: str, packages: Mapping[str, Path]) -> str:
     return (packages[package] / rest).resolve().as_uri()
 
 
-def _check_meshes(source: RobotSource, urdf: Path) -> None:
-    """The URDF must be sound, and every mesh that a link shows must have been copied."""
-    try:
-        for link in read_urdf(urdf).links:
-            for shape in (each for each in link.shapes if each.kind == "mesh"):
-                resolve(urdf, shape.filename, shape.key)
-    except JobError as error:
-        expected = error.expected
-        if error.found.startswith(_PACKAGE):
-            expected += ", or --package NAME=FOLDER, which says where it is"
-        raise JobError(source.named, error.key, error.found, expected) from error
+def _check(source: RobotSource, root: ET.Element) -> None:
+    """The URDF must be sound, and every mesh that a link shows must be there."""
+    for link in urdf_of(source.named, root).links:
+        for shape in (each for each in link.shapes if each.kind == "mesh"):
+            try:
+                resolve(source.named, shape.filename, shape.key)
+            except JobError as error:
+                expected = error.expected
+                if error.found.startswith(_PACKAGE):
+                    expected += ", or --package NAME=FOLDER, which says where it is"
+                raise JobError(error.file, error.key, error.found, expected) from error
 
 
 def urdf_links(source: RobotSource) -> list[str]:

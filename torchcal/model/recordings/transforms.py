@@ -1,5 +1,6 @@
 """The frames of ``tf`` and ``tf_static``: which hangs on which, and what moved."""
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -100,6 +101,10 @@ def transforms_of(
     Args:
         messages: Each with when it was received (ns).
         stamp: The time (ns) of a transform, from when it was received and its header.
+
+    Raises:
+        ValueError: If no transform of a frame is a rigid motion; single ones are left out, as tf2
+            leaves them out.
     """
     samples: dict[tuple[str, str], list[tuple[int, list[float]]]] = {}
     for received, message in messages:
@@ -112,8 +117,15 @@ def transforms_of(
     return Transforms(edges=edges)
 
 
+def _is_rigid(numbers: list[float]) -> bool:
+    """Whether x, y, z and a quaternion are finite, and the quaternion is not 0."""
+    return all(map(math.isfinite, numbers)) and any(numbers[3:])
+
+
 def _edge(parent: str, samples: list[tuple[int, list[float]]]) -> Edge:
-    ordered = sorted(samples, key=lambda sample: sample[0])
+    ordered = sorted((s for s in samples if _is_rigid(s[1])), key=lambda sample: sample[0])
+    if not ordered:
+        raise ValueError(f"a transform from {parent} with {samples[0][1]}; expected a rigid motion")
     numbers = torch.tensor([numbers for _, numbers in ordered], dtype=torch.float64)
     return Edge(
         parent=parent,
