@@ -4,13 +4,14 @@
 """
 
 import tyro
-from benchmarks import fleet, jobs, localise, render, solver
+from benchmarks import fleet, jobs, localise, memory, render, solver
 
 COMMANDS = {
     "solver": solver.measure,
     "render": render.measure,
     "localise": localise.measure,
     "fleet": fleet.measure,
+    "memory": memory.measure,
     "generate": jobs.generate,
     "icp": jobs.icp,
     "score": jobs.score_results,

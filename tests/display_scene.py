@@ -61,20 +61,20 @@ def comparison(name: str = "0001", dtype: torch.dtype = torch.float64) -> FrameC
     empty = REGIONS[PixelClass.UNMODELLED] | REGIONS[PixelClass.NOT_COMPARED]
     predicted = torch.where(empty, nan, predicted)
     measured = torch.where(REGIONS[PixelClass.NOT_COMPARED], nan, measured)
-    label = torch.full((HEIGHT, WIDTH), int(PixelClass.AGREES))
+    label = torch.full((HEIGHT, WIDTH), int(PixelClass.AGREES), dtype=torch.uint8)
     for member, mask in REGIONS.items():
         label[mask] = int(member)
-    facing = torch.tensor([0.6, 0.0, -0.8], dtype=dtype)
-    painted = torch.tensor([0.7, 0.65, 0.6], dtype=dtype)
+    facing = torch.tensor([0.6, 0.0, -0.8], dtype=torch.float16)
+    painted = torch.tensor([179, 166, 153], dtype=torch.uint8)
     return FrameComparison(
         name=name,
         measured=measured,
         predicted=predicted,
         sigma=torch.where(empty, nan, torch.full_like(wall, 0.012)),
         label=label,
-        body=torch.where(empty, -1, 0),
-        colour=torch.where(empty[..., None], torch.zeros(3, dtype=dtype), painted),
-        normal=torch.where(empty[..., None], torch.zeros(3, dtype=dtype), facing),
+        body=torch.where(empty, -1, 0).int(),
+        colour=torch.where(empty[..., None], torch.zeros_like(painted), painted),
+        normal=torch.where(empty[..., None], torch.zeros_like(facing), facing),
         usable=~block(slice(44, 48), slice(0, 64)),
     )
 

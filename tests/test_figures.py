@@ -60,7 +60,7 @@ def test_a_range_image_of_nothing_is_drawn():
 
 @pytest.mark.parametrize("shape", [(1, 1), (41, 41), (16, 1024), (600, 20), (1200, 1600)])
 def test_figures_of_every_shape_have_all_of_the_image_and_a_sensible_size(shape: tuple[int, int]):
-    label = torch.full(shape, int(PixelClass.AGREES))
+    label = torch.full(shape, int(PixelClass.AGREES), dtype=torch.uint8)
     label[-1, -1] = PixelClass.NEARER
     wall = torch.full(shape, 2.0)
     frame = FrameComparison(
@@ -69,9 +69,9 @@ def test_figures_of_every_shape_have_all_of_the_image_and_a_sensible_size(shape:
         predicted=wall,
         sigma=wall,
         label=label,
-        body=label,
-        colour=wall[..., None].expand(*shape, 3),
-        normal=wall[..., None].expand(*shape, 3),
+        body=label.int(),
+        colour=label[..., None].expand(*shape, 3),
+        normal=wall[..., None].expand(*shape, 3).half(),
         usable=wall > 0,
     )
     for figure in (figures.hybrid_figure(frame), figures.comparison_figure(frame, 3.0)):

@@ -10,8 +10,8 @@ from display_scene import REGIONS, comparison
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.display import colours, hybrid, legend
 
-MODEL_BYTE = round(255 * 0.7 * (0.5 + 0.5 * 0.8))
-"""Red of the scene's model (0.7) where its normal is turned 0.8 to the lamp."""
+MODEL_BYTE = round(179 * (0.5 + 0.5 * 0.8))
+"""Red of the scene's model (179) where its normal is turned 0.8 to the lamp."""
 
 
 def inner(member: PixelClass) -> tuple[int, int]:

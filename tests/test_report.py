@@ -16,7 +16,7 @@ from PIL import Image
 from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import Calibration, Evidence, ObjectVerdict, Status
 from torchcal.display import report as reports
-from torchcal.display.report import FramePictures, report
+from torchcal.display.report import FramePictures, pictured_frames, report
 from torchcal.display.report_rows import (
     chance_words,
     changes,
@@ -33,8 +33,8 @@ HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>"
 
 def drawn(found: Calibration) -> str:
     picture = Image.new("RGB", (800, 600), "white")
-    pictures = [FramePictures(hybrid=picture, comparison=picture) for _ in found.comparisons]
-    return report(found, pictures)
+    one = FramePictures(hybrid=picture, comparison=picture)
+    return report(found, dict.fromkeys(pictured_frames(found.comparisons), one))
 
 
 def rendered(names: tuple[str, ...] = ("0001", "0002"), status: Status = Status.CONVERGED) -> str:

@@ -13,10 +13,12 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from .fleet import COMMAND
-from .table import REPORT, Row, table, write_section
+from .table import NOTHING, REPORT, Row, table, write_section
 
 ROOM = np.array([6.0, 5.0, 2.8])
 """m: its inside, seen from about its middle."""
+CRATE = (2.2, 1.8, -1.1)
+"""m: where the model has one that is not there."""
 SIGMA = 0.005
 JOB = """\
 [world]
@@ -45,8 +47,8 @@ pose = {{ xyz = [0.02, 0, 0], rpy_deg = [{rpy[0]}, {rpy[1]}, {rpy[2]}] }}
 KILO = 1 if sys.platform == "darwin" else 1024
 """Bytes in which the system counts a process's memory."""
 ABOUT = """\
-The most memory that a command held at once, on images of a bare room with one unknown pose
-(`scripts/benchmark.py memory`); bytes a pixel are those beyond the first row, over all pixels of
+The most memory that a command held at once, on images of a room in which a crate of the model
+is gone, the camera's pose unknown (`scripts/benchmark.py memory`); bytes a pixel are those beyond the first row, over all pixels of
 all frames.
 """
 
@@ -86,16 +88,13 @@ def measure(*, seed: int = 0, out: Path = REPORT) -> None:
         seed: Of the images.
         out: Where the section `memory` is written.
     """
-    rows = []
+    held = {}
     for load in LOADS:
         with TemporaryDirectory() as folder:
             write_room(Path(folder) / "job", load, np.random.default_rng(seed))
-            held, seconds = _run(load.command, Path(folder))
-        least = held if not rows else least
-        each = f"{(held - least) / load.pixels:.0f}" if rows else "-"
-        cells = {"peak": f"{held / 1e9:.2f} GB", "bytes a pixel": each}
-        rows.append(Row(program=load.name, cells=cells, seconds=seconds))
-        print(rows[-1], flush=True)
+            held[load] = _run(load.command, Path(folder))
+        print(f"{load.name}: {held[load].bytes / 1e9:.2f} GB", file=sys.stderr, flush=True)
+    rows = [_row(load, each, held[LOADS[0]].bytes) for load, each in held.items()]
     body = f"{ABOUT}\n{table(rows, 'everything')}"
     print(body)
     write_section(out, "memory", body)
@@ -106,11 +105,10 @@ def write_room(folder: Path, load: Load, rng: np.random.Generator) -> None:
     folder.mkdir(parents=True)
     room = trimesh.creation.box(ROOM)
     room.invert()
-    trimesh.Scene({"room": room}).export(folder / "room.glb")
+    crate = trimesh.creation.box((0.5, 0.5, 0.5)).apply_translation(CRATE)
+    trimesh.Scene({"room": room, "crate": crate}).export(folder / "room.glb")
     focal, middle = 0.6 * load.width, (0.5 * (load.width - 1), 0.5 * (load.height - 1))
-    job = JOB.format(
-        width=load.width, height=load.height, focal=focal, cx=middle[0], cy=middle[1]
-    )
+    job = JOB.format(width=load.width, height=load.height, focal=focal, cx=middle[0], cy=middle[1])
     v, u = np.mgrid[: load.height, : load.width]
     rays = np.stack([(u - middle[0]) / focal, (v - middle[1]) / focal, np.ones_like(u)], -1)
     for number, yaw in enumerate(np.linspace(20.0, 70.0, load.frames)):
@@ -126,8 +124,24 @@ def write_room(folder: Path, load: Load, rng: np.random.Generator) -> None:
     (folder / "job.toml").write_text(job, encoding="utf-8")
 
 
-def _run(command: str, folder: Path) -> tuple[int, float]:
-    """Peak memory (bytes) and processor time (s) of one command in a process of its own."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Held:
+    """What one command needed."""
+
+    bytes: int
+    """At most."""
+    seconds: float
+    """Of the processor."""
+
+
+def _row(load: Load, held: _Held, least: int) -> Row:
+    each = f"{(held.bytes - least) / load.pixels:.0f}" if held.bytes > least else NOTHING
+    cells = {"peak": f"{held.bytes / 1e9:.2f} GB", "bytes a pixel": each}
+    return Row(program=load.name, cells=cells, seconds=held.seconds)
+
+
+def _run(command: str, folder: Path) -> _Held:
+    """Runs one command in a process of its own."""
     words = [command, str(folder / "job" / "job.toml"), "--out", str(folder / "out"), "--json"]
     process = subprocess.Popen(
         [sys.executable, "-c", COMMAND, *words], stdout=subprocess.DEVNULL, stderr=sys.stderr
@@ -135,4 +149,4 @@ def _run(command: str, folder: Path) -> tuple[int, float]:
     _, status, used = os.wait4(process.pid, 0)
     if status:
         raise RuntimeError(f"torchcal {' '.join(words)}: found exit {status}; expected 0")
-    return KILO * used.ru_maxrss, used.ru_utime + used.ru_stime
+    return _Held(bytes=KILO * used.ru_maxrss, seconds=used.ru_utime + used.ru_stime)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float16, Int32, UInt8
 from torch import Tensor
 
 from torchcal.calibrate.parameters import Parameters
@@ -19,6 +19,8 @@ from torchcal.render.appearance import appearance
 
 EMPTY = 0.01
 """Share of the beam that may meet the model where a measurement still counts as unmodelled."""
+RESIDUALS = 1 << 21
+"""So many tell the noise's scale: of more pixels one in so many is taken."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,9 +53,9 @@ class _Shown:
     near to the sensor's limits that its noise decides whether anything is measured."""
     spread: Float[Tensor, "h w"]
     """sqrt(H P H^T), what the uncertain parameters add (m)."""
-    colour: Float[Tensor, "h w 3"]
-    normal: Float[Tensor, "h w 3"]
-    body: Int[Tensor, "h w"]
+    colour: UInt8[Tensor, "h w 3"]
+    normal: Float16[Tensor, "h w 3"]
+    body: Int32[Tensor, "h w"]
 
 
 def compare(
@@ -97,6 +99,8 @@ def without_range_error(
     comparison: FrameComparison, offset: float, scale: float
 ) -> FrameComparison:
     """The same comparison in true ranges: z_measured = offset + (1 + scale) z."""
+    if offset == scale == 0.0:
+        return comparison
     return replace(
         comparison,
         measured=(comparison.measured - offset) / (1.0 + scale),
@@ -149,9 +153,9 @@ def _shown(
             modelled, ~within_limits(prediction.range, sensor), synthesis.coverage > EMPTY
         ),
         spread=_spread(scene, parameters, belief, sensor, k, prediction, shown.body),
-        colour=shown.colour,
-        normal=shown.normal,
-        body=shown.body,
+        colour=(255.0 * shown.colour).round().byte(),
+        normal=shown.normal.half(),
+        body=shown.body.int(),
     )
 
 
@@ -194,11 +198,11 @@ def _residual_scale(job: Job, predictions: list[_Shown], belief: Belief) -> floa
 
     What shows something new is not counted: it would enlarge the noise of everything else.
     """
-    v = []
+    v, every = [], len(predictions) * predictions[0].range.numel() // RESIDUALS + 1
     for frame, prediction in zip(job.frames, predictions, strict=True):
         residual = frame.image.range.to(prediction.range) - prediction.range
         d = residual / _sigma(prediction, job.sensor, belief)
-        v.append(d[frame.image.usable & d.isfinite()])
+        v.append(d[frame.image.usable & d.isfinite()][::every])
     return max(1.0, robust.inlier_scale(torch.cat(v)))
 
 
@@ -226,11 +230,11 @@ def classify(
     sigma: Float[Tensor, "h w"],
     usable: Tensor,
     alpha: float,
-) -> Int[Tensor, "h w"]:
+) -> UInt8[Tensor, "h w"]:
     """One ``PixelClass`` per pixel by eq. 5: |measured - predicted| > alpha sigma'."""
     is_measured, is_modelled = measured.isfinite(), predicted.isfinite()
     d = (measured - predicted) / sigma
-    label = torch.full_like(measured, PixelClass.NOT_COMPARED, dtype=torch.int64)
+    label = torch.full_like(measured, PixelClass.NOT_COMPARED, dtype=torch.uint8)
     label = label.masked_fill(is_measured & is_modelled, PixelClass.AGREES)
     label = label.masked_fill(d < -alpha, PixelClass.NEARER)
     label = label.masked_fill(d > alpha, PixelClass.FARTHER)

@@ -153,10 +153,16 @@ def near_jumps(
     ranges: Float[Tensor, "frame h w"], measured: Bool[Tensor, "frame h w"], sigma: Tensor
 ) -> Bool[Tensor, "frame h w"]:
     """Pixels within two of a depth jump: a bend in inverse range, which is straight on a plane."""
+    # A frame at a time: the images of a long recording are not held several times over.
+    frames = zip(ranges.split(1), measured.split(1), sigma.split(1), strict=True)
+    return grown(torch.cat([_bent(*frame) for frame in frames]) & measured, 1)
+
+
+def _bent(ranges: Tensor, measured: Tensor, sigma: Tensor) -> Bool[Tensor, "frame h w"]:
+    """Pixels whose neighbours are on no plane with them."""
     inverse = torch.where(measured, ranges, torch.nan).reciprocal()
     bend = torch.maximum(_bend(inverse), _bend(inverse.mT).mT) * ranges.square()
-    jump = bend > torch.maximum(JUMP * ranges, SURE * sigma)
-    return grown(jump & measured, 1)
+    return bend > torch.maximum(JUMP * ranges, SURE * sigma)
 
 
 def grown(mask: Bool[Tensor, "frame h w"], pixels: int) -> Bool[Tensor, "frame h w"]:

@@ -6,7 +6,7 @@ from enum import IntEnum, StrEnum
 
 import torch
 import trimesh
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float16, Int32, UInt8
 from torch import Tensor
 
 from torchcal.model.job import Job
@@ -115,7 +115,10 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FrameComparison:
-    """One frame, pixel by pixel (eq. 1, 4 and 5)."""
+    """One frame, pixel by pixel (eq. 1, 4 and 5).
+
+    Long recordings have many of them, so what needs few bits has few.
+    """
 
     name: str
     measured: Float[Tensor, "h w"]
@@ -124,13 +127,13 @@ class FrameComparison:
     """m; NaN where the model is empty."""
     sigma: Float[Tensor, "h w"]
     """sigma' of eq. 4 (m); NaN where the model is empty."""
-    label: Int[Tensor, "h w"]
+    label: UInt8[Tensor, "h w"]
     """One ``PixelClass`` per pixel."""
-    body: Int[Tensor, "h w"]
+    body: Int32[Tensor, "h w"]
     """Index into ``Scene.bodies`` of what the model shows; -1 where it is empty."""
-    colour: Float[Tensor, "h w 3"]
-    """The model's own colours, unshaded, 0 to 1; 0 where it is empty."""
-    normal: Float[Tensor, "h w 3"]
+    colour: UInt8[Tensor, "h w 3"]
+    """The model's own colours, unshaded, 0 to 255; 0 where it is empty."""
+    normal: Float16[Tensor, "h w 3"]
     """Unit normals of the model towards the sensor, sensor frame; 0 where it is empty."""
     usable: Bool[Tensor, "h w"]
 

@@ -25,7 +25,7 @@ from torchcal.calibrate.result import (
 from torchcal.calibrate.result_folder import write_kept
 from torchcal.display import canvas, figures
 from torchcal.display.decided import REPORT
-from torchcal.display.report import FramePictures, report
+from torchcal.display.report import FramePictures, pictured_frames, report
 from torchcal.display.summary import axis_sigmas
 from torchcal.model.job import Job
 from torchcal.model.unique_names import unique_names
@@ -89,7 +89,9 @@ def write_results(calibration: Calibration, folder: Path | str) -> None:
     """Writes everything that a calibration leaves behind into a folder."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = list(_write_pictures(calibration, folder))
+    shown = pictured_frames(calibration.comparisons)
+    written = enumerate(_write_pictures(calibration, folder))
+    pictures = {index: each for index, each in written if index in shown}
     _write_robot(calibration, folder)
     write_kept(kept(calibration), folder)
     (folder / REPORT).write_text(report(calibration, pictures), encoding="utf-8")

@@ -2,7 +2,7 @@
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from matplotlib.colors import Colormap, LinearSegmentedColormap, to_rgb
 
 from torchcal.calibrate.result import PixelClass
@@ -45,7 +45,7 @@ def as_bytes(colour: str) -> UInt8[np.ndarray, " 3"]:
     return np.round(255.0 * np.array(to_rgb(colour))).astype(np.uint8)
 
 
-def class_image(label: Int[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+def class_image(label: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Every pixel in the colour of its class."""
     return np.stack([as_bytes(CLASS_COLOURS[member]) for member in PixelClass])[label]
 

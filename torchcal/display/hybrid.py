@@ -8,7 +8,7 @@ hatching within say why. No two classes differ by colour alone.
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 
 from torchcal.calibrate.regions import numbered
@@ -84,13 +84,13 @@ def hybrid_image(
 
 def shaded_model(comparison: FrameComparison) -> UInt8[np.ndarray, "h w 3"]:
     """The model in its own colours, lit along the sensor's axis (Lambert)."""
-    facing = np.abs(as_array(comparison.normal)[..., 2:])
-    light = 255.0 * (AMBIENT + (1.0 - AMBIENT) * facing)
-    return np.clip(np.round(as_array(comparison.colour) * light), 0.0, 255.0).astype(np.uint8)
+    facing = np.abs(as_array(comparison.normal)[..., 2:].astype(np.float32)).clip(max=1.0)
+    light = AMBIENT + (1.0 - AMBIENT) * facing
+    return np.round(as_array(comparison.colour) * light).astype(np.uint8)
 
 
 def marked(
-    image: UInt8[np.ndarray, "h w 3"], label: Int[np.ndarray, "h w"], line: int
+    image: UInt8[np.ndarray, "h w 3"], label: UInt8[np.ndarray, "h w"], line: int
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The image with hatchings and outlines that tell the classes of its pixels.
 

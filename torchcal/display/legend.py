@@ -35,7 +35,7 @@ def hybrid_swatch(member: PixelClass, line: int = 2) -> UInt8[np.ndarray, "h w 3
         member: The class.
         line: The width of lines in pixels.
     """
-    label = np.full(SWATCH, PixelClass.AGREES)
+    label = np.full(SWATCH, PixelClass.AGREES, np.uint8)
     label[4:-4, 4:-4] = member
     image = np.broadcast_to(as_bytes(MODEL), (*SWATCH, 3)).copy()
     if member in MEASURED_CLASSES:

@@ -2,13 +2,13 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from PIL import Image
 
 from torchcal.calibrate.decisions import Transaction
-from torchcal.calibrate.result import Calibration, PixelClass, Status
+from torchcal.calibrate.result import Calibration, FrameComparison, PixelClass, Status
 from torchcal.calibrate.update import LEAST_EVIDENCE
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
 from torchcal.display.decided import changes_section
@@ -69,12 +69,12 @@ class FrameSection:
     comparison: str
 
 
-def report(calibration: Calibration, pictures: Sequence[FramePictures]) -> str:
+def report(calibration: Calibration, pictures: Mapping[int, FramePictures]) -> str:
     """The whole report as HTML.
 
     Args:
         calibration: The answer.
-        pictures: The figures of each frame, in the order of ``calibration.comparisons``.
+        pictures: The figures of ``pictured_frames``.
     """
     estimate = calibration.estimate
     here = estimate.Ts_world_sensor[0]
@@ -125,19 +125,25 @@ def agreement(counts: dict[PixelClass, int]) -> float:
     return counts[PixelClass.AGREES] / max(1, compared)
 
 
-def _sections(calibration: Calibration, pictures: Sequence[FramePictures]) -> list[FrameSection]:
-    """Every frame; pictures of those that agree least."""
+def pictured_frames(comparisons: Sequence[FrameComparison]) -> frozenset[int]:
+    """The frames that a report shows: those that agree least."""
+    agreements = [agreement(class_counts(comparison)) for comparison in comparisons]
+    worst = sorted(range(len(agreements)), key=agreements.__getitem__)
+    return frozenset(worst[:MOST_PICTURES])
+
+
+def _sections(
+    calibration: Calibration, pictures: Mapping[int, FramePictures]
+) -> list[FrameSection]:
     counts = [class_counts(comparison) for comparison in calibration.comparisons]
-    worst = sorted(range(len(counts)), key=lambda index: agreement(counts[index]))
-    shown = set(worst[:MOST_PICTURES])
     return [
         FrameSection(
             name=comparison.name,
             counts=counts[index],
             agreement=f"{100.0 * agreement(counts[index]):.1f} %",
             sigma=sigma_words(pose_sigma(calibration, index)),
-            hybrid=_embedded(pictures[index].hybrid) if index in shown else "",
-            comparison=_embedded(pictures[index].comparison) if index in shown else "",
+            hybrid=_embedded(pictures[index].hybrid) if index in pictures else "",
+            comparison=_embedded(pictures[index].comparison) if index in pictures else "",
         )
         for index, comparison in enumerate(calibration.comparisons)
     ]
