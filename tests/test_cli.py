@@ -91,7 +91,7 @@ def test_calibrate_prints_the_answer_and_where_the_report_is(library, tmp_path, 
     main(["calibrate", "job.toml", "--out", str(tmp_path / "out")])
     printed = capsys.readouterr().out
     assert "The answer can be used" in printed
-    assert "+10.000 mm" in printed
+    assert "+10.0 mm" in printed
     assert str(tmp_path / "out" / "report.html") in printed
 
 
