@@ -105,7 +105,7 @@ def test_measured_classes_are_hatched_each_in_its_own_way(member):
 
 
 def test_class_colours_are_all_different():
-    image = colours.class_image(np.arange(len(PixelClass))[None])
+    image = colours.class_image(np.arange(len(PixelClass), dtype=np.uint8)[None])
     assert len({tuple(pixel) for pixel in image[0]}) == len(PixelClass)
 
 

@@ -153,7 +153,24 @@ def test_progress_is_told_at_both_ends_of_each_stage():
         generator=torch.Generator().manual_seed(0),
         progress=lambda name, share: told.append((name, share)),
     )
-    assert told == [("compare", 0.0), ("compare", 1.0), ("update", 0.0), ("update", 1.0)]
+    ends = [each for each in told if each[1] in (0.0, 1.0)]
+    assert ends == [("compare", 0.0), ("compare", 1.0), ("update", 0.0), ("update", 1.0)]
+
+
+def test_progress_is_told_with_each_image_that_is_fitted():
+    job, told = room_job(), list[tuple[str, float]]()
+    calibrate(
+        job,
+        generator=torch.Generator().manual_seed(0),
+        progress=lambda name, share: told.append((name, share)),
+    )
+    for stage in ("find a start", "fit every pixel", "set aside what differs", "fit the rest"):
+        shares = [share for name, share in told if name == stage]
+        assert shares == sorted(shares)
+        # Both images at the start, at the end, and at one step between, at least.
+        assert len(shares) >= 2 + 3 * len(job.frames)
+        assert (shares[0], shares[-1]) == (0.0, 1.0)
+        assert max(shares[:-1]) < 1.0
 
 
 def test_predict_shows_the_nominal_pose():

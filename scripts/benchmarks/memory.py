@@ -48,8 +48,8 @@ KILO = 1 if sys.platform == "darwin" else 1024
 """Bytes in which the system counts a process's memory."""
 ABOUT = """\
 The most memory that a command held at once, on images of a room in which a crate of the model
-is gone, the camera's pose unknown (`scripts/benchmark.py memory`); bytes a pixel are those beyond the first row, over all pixels of
-all frames.
+is gone, the camera's pose unknown (`scripts/benchmark.py memory`); bytes a pixel are those beyond
+the first row, over all pixels of all frames; seconds are of the processor.
 """
 
 

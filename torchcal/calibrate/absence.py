@@ -10,13 +10,8 @@ from collections.abc import Mapping
 import torch
 
 from torchcal.calibrate.compare import compare
-from torchcal.calibrate.estimate import (
-    EXPLAINED_ANYWHERE,
-    agreement_with,
-    belief_after,
-    choose_start,
-    fit_pixels,
-)
+from torchcal.calibrate.estimate import agreement_with, belief_after
+from torchcal.calibrate.fits import EXPLAINED_ANYWHERE, choose_start, fit_pixels
 from torchcal.calibrate.moves import Looked
 from torchcal.calibrate.refine import fitted_drift
 from torchcal.calibrate.result import ObjectVerdict

@@ -1,5 +1,6 @@
 """Measured against predicted, pixel by pixel (section 2.3 and 2.4, eq. 1, 4 and 5)."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -11,6 +12,7 @@ from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.range_fit import FILLED, INSIDE, within_limits
 from torchcal.calibrate.result import FrameComparison, PixelClass
 from torchcal.calibrate.spread import Drawn, drawn_steps, moves_far
+from torchcal.calibrate.stages import Tick, quiet
 from torchcal.geometry import gaussian, robust
 from torchcal.model.job import Frame, Job
 from torchcal.model.scene import Scene
@@ -59,15 +61,25 @@ class _Shown:
 
 
 def compare(
-    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief, tick: Tick = quiet
 ) -> tuple[Belief, tuple[FrameComparison, ...]]:
     """Compares every frame with the prediction by eq. 5.
+
+    Args:
+        job: The recording.
+        scene: Its model.
+        parameters: What is unknown.
+        belief: What is known of it.
+        tick: Called with each image that was predicted.
 
     Returns:
         The belief with the noise's sigma enlarged where the residuals are larger than it says, and
         the comparisons made with it.
     """
-    shown = _shown_frames(job, scene, parameters, belief)
+    shown = []
+    for frame in _shown_frames(job, scene, parameters, belief):
+        shown.append(frame)
+        tick()
     scale = belief.sigma_scale * _residual_scale(job, shown, belief)
     belief = replace(belief, sigma_scale=scale)
     return belief, _compare_frames(job, shown, belief)
@@ -77,7 +89,7 @@ def compare_as_believed(
     job: Job, scene: Scene, parameters: Parameters, belief: Belief
 ) -> tuple[FrameComparison, ...]:
     """The same with the noise as it is believed to be."""
-    return _compare_frames(job, _shown_frames(job, scene, parameters, belief), belief)
+    return _compare_frames(job, list(_shown_frames(job, scene, parameters, belief)), belief)
 
 
 def reclassified(comparison: FrameComparison, alpha: float) -> FrameComparison:
@@ -109,12 +121,13 @@ def without_range_error(
     )
 
 
-def _shown_frames(job: Job, scene: Scene, parameters: Parameters, belief: Belief) -> list[_Shown]:
+def _shown_frames(
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+) -> Iterator[_Shown]:
     reaching = _reaching(job.sensor)
     frames = predictions(scene.surface, reaching, parameters, belief.state, dtype=torch.float32)
-    return [
-        _shown(scene, parameters, belief, job.sensor, k, frame) for k, frame in enumerate(frames)
-    ]
+    for k, frame in enumerate(frames):
+        yield _shown(scene, parameters, belief, job.sensor, k, frame)
 
 
 def _reaching(sensor: Sensor) -> Sensor:

@@ -1,30 +1,17 @@
-"""Parameter estimation (section 3): start, coarse choice, final fit, and what to say of it."""
+"""What is believed after the fits of a recording (section 3), and what to say of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
+from torchcal.calibrate.fits import EXPLAINED, Choice
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
-from torchcal.calibrate.observation import (
-    Observation,
-    coarse_factor,
-    coarser,
-    cropped,
-    observe,
-    sharpened,
-)
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.refine import (
-    Refined,
-    coarse_fit,
-    fine_factor,
-    fine_fit,
-)
+from torchcal.calibrate.refine import Refined
 from torchcal.calibrate.reliability import reliability
 from torchcal.calibrate.result import (
     Alternative,
@@ -32,99 +19,19 @@ from torchcal.calibrate.result import (
     FrameComparison,
     Status,
 )
-from torchcal.calibrate.rivals import explains_as_well
-from torchcal.calibrate.search import are_apart, find_candidates
 from torchcal.calibrate.slots import BASE, MOUNT
 from torchcal.geometry import gaussian
 from torchcal.model.job import Job
-from torchcal.model.scene import Scene
 from torchcal.model.sensor import Drift, Sensor
 
 FARTHEST = 5.0
 """Prior sigmas: an estimate farther from the nominal state contradicts what the job believes."""
 AGREEING = 3.0
 """Standard deviations of the declared noise within which a pixel agrees with a pose."""
-EXPLAINED = 0.2
-"""Share of the compared pixels that must agree before a pose counts as an explanation."""
 CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
-EXPLAINED_ANYWHERE = 0.6
-"""The same for a pose that no prior vouches for."""
 OWN_ERRORS = 0.8
 """With more independent pixels than this share of all, nobody needs to be told of them."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Choice:
-    """The start that explains the coarse images best, and those that explain them as well."""
-
-    state: Float[Tensor, "slot 4 4"]
-    score: float
-    """Robust cost per measured pixel of the coarse images."""
-    rivals: tuple[tuple[Tensor, float], ...]
-    """State and score."""
-    least_agreement: float = EXPLAINED
-    """Share of the compared pixels that must agree in the end."""
-
-
-def choose_start(
-    job: Job, scene: Scene, parameters: Parameters, generator: torch.Generator
-) -> Choice:
-    """Hypotheses from the prior, robust fits and a score that needs no truth (3.5)."""
-    coarse = _coarse(job)
-    candidates = find_candidates(coarse, scene.surface, parameters, generator)
-    return _best(coarse, scene, parameters, candidates)
-
-
-def choose_found(
-    job: Job, scene: Scene, parameters: Parameters, states: Float[Tensor, "state slot 4 4"]
-) -> Choice:
-    """The same among states that were found without a prior: more must agree with one."""
-    choice = _best(_coarse(job), scene, parameters, states)
-    return replace(choice, least_agreement=EXPLAINED_ANYWHERE)
-
-
-def _coarse(job: Job) -> Observation:
-    observation = cropped(observe(job))
-    return sharpened(coarser(observation, coarse_factor(observation.sensor)))
-
-
-def _best(coarse: Observation, scene: Scene, parameters: Parameters, candidates: Tensor) -> Choice:
-    fit, solution = coarse_fit(coarse, scene.surface, parameters, candidates)
-    scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
-    order = scores.argsort().tolist()
-    best = order[0]
-    rivals = tuple(
-        (solution.state[i], float(scores[i]))
-        for i in order[1:]
-        if are_apart(solution.state[i], solution.state[best], parameters)
-        and explains_as_well(fit, solution.state[i], solution.state[best])
-    )
-    return Choice(state=solution.state[best], score=float(scores[best]), rivals=rivals)
-
-
-def fit_pixels(
-    job: Job, scene: Scene, parameters: Parameters, state: Float[Tensor, "slot 4 4"]
-) -> Refined:
-    """The fit that shows which pixels differ: at half of the final resolution."""
-    observation = cropped(observe(job))
-    factor = min(2 * fine_factor(observation), coarse_factor(observation.sensor))
-    return fine_fit(observation, scene.surface, parameters, state, factor=factor)
-
-
-def fit_rest(
-    job: Job,
-    scene: Scene,
-    parameters: Parameters,
-    before: Refined,
-    excluded: Bool[Tensor, "frame h w"],
-) -> Refined:
-    """The final fit, without the pixels that turned out to show something else."""
-    observation = cropped(observe(job).without(excluded))
-    if not observation.measured.any():
-        return before
-    factor = fine_factor(observation)
-    return fine_fit(observation, scene.surface, parameters, before.state, factor=factor)
 
 
 def nominal_belief(job: Job, parameters: Parameters) -> Belief:

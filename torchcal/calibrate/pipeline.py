@@ -1,26 +1,13 @@
 """The method on one page: estimate, compare, update (sections 2 and 3 of the paper)."""
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import locate
 from torchcal.calibrate.compare import Belief, compare
-from torchcal.calibrate.estimate import (
-    Choice,
-    belief_after,
-    choose_found,
-    choose_start,
-    estimate_of,
-    fit_pixels,
-    fit_rest,
-    nominal_belief,
-)
+from torchcal.calibrate.estimate import belief_after, estimate_of, nominal_belief
+from torchcal.calibrate.fits import Choice, choose_found, choose_start, fit_pixels, fit_rest
 from torchcal.calibrate.foresight import next_view
 from torchcal.calibrate.observation import grown
 from torchcal.calibrate.parameters import Parameters
@@ -29,14 +16,12 @@ from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
 from torchcal.calibrate.result import Calibration, FrameComparison, Status
 from torchcal.calibrate.revise import revise
+from torchcal.calibrate.stages import Progress, Stages, Tick
 from torchcal.calibrate.suspicion import suspicions
 from torchcal.model.job import Job, check_frames
 from torchcal.model.precision import job_in_double
 from torchcal.model.scene import Scene, build_scene
 from torchcal.render.synthesis import synthesise
-
-Progress = Callable[[str, float], None]
-"""Told the name of a stage and the share of it that is done, 0 to 1."""
 
 
 def calibrate(
@@ -52,13 +37,13 @@ def calibrate(
         job: The recording and everything that is believed about it.
         estimate: False: compare at the nominal pose, with the prior for P of eq. 3.
         generator: Draws starts and points; on the CPU.
-        progress: Called at the beginning and the end of each stage.
+        progress: Called at the beginning and the end of each stage, and with each image between.
 
     Raises:
         TorchcalError: If there is no frame, or one of which nobody knows where it was taken.
     """
     check_frames(job)
-    stages = _Stages(progress=progress)
+    stages = Stages(progress, len(job.frames))
     dtype, job = job.T_world_base.dtype, job_in_double(job)
     bases = None
     if estimate and job.initial == "anywhere":
@@ -71,7 +56,7 @@ def calibrate(
     if estimate and parameters.names:
         belief, choice = _estimated(job, scene, parameters, generator, bases, stages)
     with stages.stage("compare"):
-        belief, comparisons = compare(job, scene, parameters, belief)
+        belief, comparisons = compare(job, scene, parameters, belief, stages.tick)
     result = estimate_of(job.sensor, parameters, belief, choice, comparisons)
     with stages.stage("update"):
         update = revise(job, scene, parameters, belief, comparisons, result, generator)
@@ -121,30 +106,30 @@ def _estimated(
     parameters: Parameters,
     generator: torch.Generator,
     bases: Float[Tensor, "start 4 4"] | None,
-    stages: "_Stages",
+    stages: Stages,
 ) -> tuple[Belief, Choice]:
     """Section 3: start, fit, set aside what differs, fit the rest."""
     with stages.stage("find a start"):
         if bases is None:
-            choice = choose_start(job, scene, parameters, generator)
+            choice = choose_start(job, scene, parameters, generator, stages.tick)
         else:
-            choice = choose_found(job, scene, parameters, parameters.with_base(bases))
+            choice = choose_found(job, scene, parameters, parameters.with_base(bases), stages.tick)
     with stages.stage("fit every pixel"):
-        refined = fit_pixels(job, scene, parameters, choice.state)
+        refined = fit_pixels(job, scene, parameters, choice.state, stages.tick)
     with stages.stage("set aside what differs"):
         # Set aside for the fit is what its own noise model does not explain.
         belief = belief_after(refined, fitted_drift(refined))
-        differing = _differing_pixels(job, scene, parameters, belief)
+        differing = _differing_pixels(job, scene, parameters, belief, stages.tick)
     with stages.stage("fit the rest"):
-        refined = fit_rest(job, scene, parameters, refined, differing)
+        refined = fit_rest(job, scene, parameters, refined, differing, stages.tick)
         return belief_after(refined, slow_error(refined)), choice
 
 
 def _differing_pixels(
-    job: Job, scene: Scene, parameters: Parameters, belief: Belief
+    job: Job, scene: Scene, parameters: Parameters, belief: Belief, tick: Tick
 ) -> Bool[Tensor, "frame h w"]:
     """Pixels in or beside regions that differ from the model: their beams mix both surfaces."""
-    belief, comparisons = compare(job, scene, parameters, belief)
+    belief, comparisons = compare(job, scene, parameters, belief, tick)
     return torch.stack([_differing(job, frame, belief.drift_pixels) for frame in comparisons])
 
 
@@ -156,23 +141,3 @@ def _differing(job: Job, frame: FrameComparison, correlation_pixels: float) -> T
     for region in regions:
         mask |= region.mask.to(mask.device)
     return grown(mask[None], job.sensor.beam + 2)[0]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Stages:
-    """Tells about stages and keeps their times."""
-
-    progress: Progress | None
-    timing: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        self._tell(name, 0.0)
-        yield
-        self.timing[name] = time.perf_counter() - start
-        self._tell(name, 1.0)
-
-    def _tell(self, name: str, share: float) -> None:
-        if self.progress is not None:
-            self.progress(name, share)

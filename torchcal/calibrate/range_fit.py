@@ -10,6 +10,7 @@ from torch import Tensor
 from torchcal.calibrate.observation import Observation
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
+from torchcal.calibrate.stages import Tick, quiet
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift, Sensor
 from torchcal.solve.field import SmoothField
@@ -61,6 +62,8 @@ class RangeFit:
     """The slowly varying part of the noise; its length in this resolution's pixels."""
     sigma_scale: float = 1.0
     """Independent noise over the sensor's sigma."""
+    tick: Tick = quiet
+    """Called with each image that was predicted."""
 
     def evaluate(self, states: Float[Tensor, "batch slot 4 4"]) -> NormalEquations:
         """Normal equations of every state: all frames and the prior."""
@@ -81,6 +84,7 @@ class RangeFit:
         )
         for k, any_pixel in enumerate(measured):
             yield self._frame_residual(k, next(predicted)) if any_pixel else self._nothing(k)
+            self.tick()
 
     def _frame_residual(self, k: int, prediction: Prediction) -> FrameResidual:
         observation, sensor = self.observation, self.observation.sensor

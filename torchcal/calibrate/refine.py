@@ -13,6 +13,7 @@ from torchcal.calibrate.noise import COEFFICIENTS, NoiseModel, correlation, nois
 from torchcal.calibrate.observation import Observation, coarser
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
+from torchcal.calibrate.stages import Tick, quiet
 from torchcal.geometry import robust
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift
@@ -62,6 +63,7 @@ def coarse_fit(
     surface: Surface,
     parameters: Parameters,
     states: Float[Tensor, "candidate slot 4 4"],
+    tick: Tick = quiet,
 ) -> tuple[RangeFit, Solution]:
     """First fits of all candidates on coarse images, at one cut-off so that costs compare."""
     fit = RangeFit(
@@ -70,6 +72,7 @@ def coarse_fit(
         parameters=parameters,
         cutoff=robust.EFFICIENT,
         drift=None,
+        tick=tick,
     )
     config = GaussNewtonConfig(iterations=6, ripple=RIPPLE)
     solution = None
@@ -94,6 +97,7 @@ def fine_fit(
     state: Float[Tensor, "slot 4 4"],
     *,
     factor: int,
+    tick: Tick = quiet,
 ) -> Refined:
     """The fit with the noise model of the sensor, or of the residuals themselves.
 
@@ -103,6 +107,7 @@ def fine_fit(
         parameters: What is unknown.
         state: Where to start.
         factor: Side of the blocks of pixels that are averaged.
+        tick: Called with each image that was predicted, also by what is asked of the fit later.
     """
     observation = coarser(observation, factor)
     fit = RangeFit(
@@ -111,6 +116,7 @@ def fine_fit(
         parameters=parameters,
         cutoff=2.0 * robust.EFFICIENT,
         drift=None,
+        tick=tick,
     )
     fit = with_noise(fit, state, factor)
     config = GaussNewtonConfig(

@@ -135,10 +135,14 @@ def _curvatures(refined: Refined, seen: _Directions) -> Float[Tensor, " directio
     together = _curvature(refined, seen, everything)
     weak = (seen.told > WELL_TOLD**2).nonzero()[:, 0][:ALONE]
     found = torch.full_like(seen.told, together)
-    if not len(weak) or min(together, _curvature(refined, seen, weak[:1])) > EXACT:
+    if not len(weak):
         return found
+    weakest = _curvature(refined, seen, weak[:1])
+    if min(together, weakest) > EXACT:
+        return found
+    found[weak[0]] = weakest
     rest = everything[~torch.isin(everything, weak)]
-    for group in (*weak[:, None], rest):
+    for group in (*weak[1:, None], rest):
         if len(group):
             found[group] = _curvature(refined, seen, group)
     return found

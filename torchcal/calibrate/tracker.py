@@ -14,13 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import check_searchable, locate, without_prior
-from torchcal.calibrate.estimate import (
-    EXPLAINED,
-    EXPLAINED_ANYWHERE,
-    FARTHEST,
-    choose_found,
-    choose_start,
-)
+from torchcal.calibrate.estimate import FARTHEST
+from torchcal.calibrate.fits import EXPLAINED, EXPLAINED_ANYWHERE, choose_found, choose_start
 from torchcal.calibrate.frame_fit import FrameFit, Told, Trust
 from torchcal.calibrate.innovation import Innovation, innovation
 from torchcal.calibrate.live_frame import only_frame, usable_frame

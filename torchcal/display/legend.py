@@ -48,7 +48,7 @@ def hybrid_swatch(member: PixelClass, line: int = 2) -> UInt8[np.ndarray, "h w 3
 
 def class_swatch(member: PixelClass) -> UInt8[np.ndarray, "h w 3"]:
     """A piece of an image of classes."""
-    return class_image(np.full(SWATCH, member))
+    return class_image(np.full(SWATCH, member, np.uint8))
 
 
 def draw_legend(

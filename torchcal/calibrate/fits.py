@@ -1,0 +1,121 @@
+"""Fits of a recording (section 3): the start that explains it best, then every pixel."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchcal.calibrate.observation import (
+    Observation,
+    coarse_factor,
+    coarser,
+    cropped,
+    observe,
+    sharpened,
+)
+from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.refine import (
+    Refined,
+    coarse_fit,
+    fine_factor,
+    fine_fit,
+)
+from torchcal.calibrate.rivals import explains_as_well
+from torchcal.calibrate.search import are_apart, find_candidates
+from torchcal.calibrate.stages import Tick, quiet
+from torchcal.model.job import Job
+from torchcal.model.scene import Scene
+
+EXPLAINED = 0.2
+"""Share of the compared pixels that must agree before a pose counts as an explanation."""
+EXPLAINED_ANYWHERE = 0.6
+"""The same for a pose that no prior vouches for."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Choice:
+    """The start that explains the coarse images best, and those that explain them as well."""
+
+    state: Float[Tensor, "slot 4 4"]
+    score: float
+    """Robust cost per measured pixel of the coarse images."""
+    rivals: tuple[tuple[Tensor, float], ...]
+    """State and score."""
+    least_agreement: float = EXPLAINED
+    """Share of the compared pixels that must agree in the end."""
+
+
+def choose_start(
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    generator: torch.Generator,
+    tick: Tick = quiet,
+) -> Choice:
+    """Hypotheses from the prior, robust fits and a score that needs no truth (3.5)."""
+    coarse = _coarse(job)
+    candidates = find_candidates(coarse, scene.surface, parameters, generator)
+    return _best(coarse, scene, parameters, candidates, tick)
+
+
+def choose_found(
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    states: Float[Tensor, "state slot 4 4"],
+    tick: Tick = quiet,
+) -> Choice:
+    """The same among states that were found without a prior: more must agree with one."""
+    choice = _best(_coarse(job), scene, parameters, states, tick)
+    return replace(choice, least_agreement=EXPLAINED_ANYWHERE)
+
+
+def _coarse(job: Job) -> Observation:
+    observation = cropped(observe(job))
+    return sharpened(coarser(observation, coarse_factor(observation.sensor)))
+
+
+def _best(
+    coarse: Observation, scene: Scene, parameters: Parameters, candidates: Tensor, tick: Tick
+) -> Choice:
+    fit, solution = coarse_fit(coarse, scene.surface, parameters, candidates, tick)
+    scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
+    order = scores.argsort().tolist()
+    best = order[0]
+    rivals = tuple(
+        (solution.state[i], float(scores[i]))
+        for i in order[1:]
+        if are_apart(solution.state[i], solution.state[best], parameters)
+        and explains_as_well(fit, solution.state[i], solution.state[best])
+    )
+    return Choice(state=solution.state[best], score=float(scores[best]), rivals=rivals)
+
+
+def fit_pixels(
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    state: Float[Tensor, "slot 4 4"],
+    tick: Tick = quiet,
+) -> Refined:
+    """The fit that shows which pixels differ: at half of the final resolution."""
+    observation = cropped(observe(job))
+    factor = min(2 * fine_factor(observation), coarse_factor(observation.sensor))
+    return fine_fit(observation, scene.surface, parameters, state, factor=factor, tick=tick)
+
+
+def fit_rest(
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    before: Refined,
+    excluded: Bool[Tensor, "frame h w"],
+    tick: Tick = quiet,
+) -> Refined:
+    """The final fit, without the pixels that turned out to show something else."""
+    observation = cropped(observe(job).without(excluded))
+    if not observation.measured.any():
+        return before
+    factor = fine_factor(observation)
+    return fine_fit(observation, scene.surface, parameters, before.state, factor=factor, tick=tick)

@@ -1,0 +1,55 @@
+"""How far a calibration is, and how long its stages took."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Progress = Callable[[str, float], None]
+"""Told the name of a stage and the share of it that is done, 0 to 1."""
+
+Tick = Callable[[], None]
+"""Called whenever one image was predicted or compared: a stage goes on."""
+
+ROUNDS = 10
+"""So often a stage looks at every image, more or less: how often only its fit finds out."""
+
+
+def quiet() -> None:
+    """Tells nobody."""
+
+
+class Stages:
+    """Tells about stages and keeps their times.
+
+    Args:
+        progress: Told at the beginning and the end of each stage, and with each image between
+            them. How many will be needed is not known before: there the share is a guess that
+            grows with every image and does not reach 1.
+        images: Of the job.
+    """
+
+    def __init__(self, progress: Progress | None, images: int):
+        self.timing: dict[str, float] = {}
+        self._progress = progress
+        self._images = images
+        self._stage = ""
+        self._done = 0
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """A stage for as long as the context lasts."""
+        start = time.perf_counter()
+        self._stage, self._done = name, 0
+        self._tell(0.0)
+        yield
+        self.timing[name] = time.perf_counter() - start
+        self._tell(1.0)
+
+    def tick(self) -> None:
+        """One more image of the present stage is done."""
+        self._done += 1
+        self._tell(self._done / (self._done + ROUNDS * self._images))
+
+    def _tell(self, share: float) -> None:
+        if self._progress is not None:
+            self._progress(self._stage, share)
