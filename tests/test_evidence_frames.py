@@ -22,7 +22,7 @@ def frame_of(name: str, *, farther: bool, shown: bool) -> tuple[FrameComparison,
     whole = comparison(name)
     half = torch.zeros_like(whole.usable)
     half[:40, 32:] = True
-    body = torch.where(half, CRATE if shown else 0, 0)
+    body = torch.where(half, CRATE if shown else 0, 0).int()
     frame = replace(whole, body=body, label=torch.ones_like(whole.label))
     region = Region(
         kind=RegionKind.FARTHER, mask=half, pixels=int(half.sum()), significance=9.0, bodies={}

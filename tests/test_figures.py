@@ -44,7 +44,7 @@ def words_of(figure: Figure) -> str:
 def test_figures_say_what_is_not_there(
     lost: list[str], member: PixelClass, words: str, scales: int
 ):
-    label = torch.full((HEIGHT, WIDTH), int(member))
+    label = torch.full((HEIGHT, WIDTH), int(member), dtype=torch.uint8)
     gone = dict.fromkeys(lost, NOWHERE)
     frame = dataclasses.replace(comparison(), label=label, **gone)
     assert canvas.pixels(figures.hybrid_figure(frame)).width > 100

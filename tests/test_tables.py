@@ -61,5 +61,5 @@ def test_what_was_seen_a_little_is_not_called_unseen(pixels, words):
     picture = Image.new("RGB", (8, 6))
     pictures = FramePictures(hybrid=picture, comparison=picture)
     assert re.search(rf"far +│ +{words} │ +{pixels} │", shown(found))
-    assert f">{words}</td>" in report(found, 2 * [pictures])
+    assert f">{words}</td>" in report(found, {0: pictures, 1: pictures})
     assert f": {words}. {pixels} pixels agree" in object_words("far", kept(found).transaction)
