@@ -37,15 +37,15 @@ class Options:
     """Pixels."""
     margin: float = 0.004
     """m: what counts as the side ends so far below the plane of the end."""
-    sigma: float = 0.0005
-    """m: of a pixel, with what the robot's poses are off by; a single view has 0.05 mm of noise."""
+    sigma: float = 0.001
+    """m: what the robot's poses are off by; the noise of a single view is 0.05 mm."""
     ruler: float = 0.01
     """m: the places of mount and cylinder are written down in steps of this."""
     protractor: float = 5.0
     """Degrees: their turns, in steps of this."""
     length: float = 0.5
     """m: of the model; longer than the cylinder, so that its ends say nothing."""
-    sections: int = 4096
+    sections: int = 512
     """Flat strips that the round side is made of."""
     seed: int = 0
     """Of the planes among which the end is found."""

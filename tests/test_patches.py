@@ -40,6 +40,21 @@ def test_a_flat_side_is_light_and_keeps_its_outline():
     np.testing.assert_allclose(light.bounds, [[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]], atol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_stands_out_beyond_the_outline_of_a_rough_surface(seed):
+    rng = np.random.default_rng(seed)
+    fold = 3.0 * np.abs(np.linspace(-0.5, 0.5, 61))[None].repeat(61, 0)
+    bent = surface(fold + 0.005 * rng.standard_normal(fold.shape))
+    x, y, _ = (bent.triangles_center - [0.5, 0.5, 0.0]).T
+    wavy = 0.35 + 0.04 * np.sin(23.0 * np.arctan2(y, x))
+    rough = bent.submesh([np.hypot(x, y) < wavy], append=True)
+    light = simplified(rough)
+    assert len(light.faces) < len(rough.faces)
+    side = 1.0 / 60.0
+    assert (light.bounds[0] > rough.bounds[0] - side).all()
+    assert (light.bounds[1] < rough.bounds[1] + side).all()
+
+
 def test_two_flat_sides_keep_the_edge_between_them():
     fold = np.abs(np.linspace(-0.5, 0.5, 61))[None].repeat(61, 0)
     light = simplified(surface(fold))

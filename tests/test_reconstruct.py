@@ -31,10 +31,20 @@ def box_mask():
 
 
 def mesh_of(
-    ranges, mask=None, T=EYE, *, sigma=MILLIMETRE, beam=1, projection: Projection = PINHOLE
+    ranges,
+    mask=None,
+    T=EYE,
+    *,
+    sigma=MILLIMETRE,
+    beam=1,
+    behind=None,
+    projection: Projection = PINHOLE,
 ):
     mask = box_mask() if mask is None else mask
-    return mesh_of_region(torch.from_numpy(ranges), mask, projection, T, sigma=sigma, beam=beam)
+    far = None if behind is None else torch.from_numpy(behind)
+    return mesh_of_region(
+        torch.from_numpy(ranges), mask, projection, T, sigma=sigma, beam=beam, behind=far
+    )
 
 
 def test_a_flat_front_has_the_extents_of_its_pixels():
@@ -42,6 +52,19 @@ def test_a_flat_front_has_the_extents_of_its_pixels():
     # The centres of the outermost of 60 pixels are 59 pixels apart.
     np.testing.assert_allclose(mesh.extents, [59 * 2.7 / 549, 59 * 2.7 / 549, 0.0], atol=1e-9)
     np.testing.assert_allclose(mesh.vertices[:, 2], 2.7, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("share", "pixels"), [(0.2, 60), (0.8, 62)])
+def test_the_outline_is_where_the_object_fills_half_of_a_pixel(share, pixels):
+    rim = (slice(BOX[0].start - 1, BOX[0].stop + 1), slice(BOX[1].start - 1, BOX[1].stop + 1))
+    ranges, behind = scene(2.7), scene()
+    mixed = np.zeros(SHAPE, bool)
+    mixed[rim], mixed[BOX] = True, False
+    ranges[mixed] = share * 2.7 + (1.0 - share) * behind[mixed]
+    mask = torch.from_numpy(mixed) | box_mask()
+    mesh = mesh_of(ranges, mask, behind=behind)
+    side = (pixels - 1) * 2.7 / 549
+    np.testing.assert_allclose(mesh.extents, [side, side, 0.0], atol=1e-9)
 
 
 def test_the_mesh_stands_in_the_world_where_the_sensor_saw_it():

@@ -128,7 +128,7 @@ urdf = "flange.urdf"
 link = "flange"
 mount = {_pose_text(mount)}
 {optics}sigma = {sigma:g}
-drift = "auto"
+drift = 0
 beam = 1
 {frames}
 [unknown.mount]

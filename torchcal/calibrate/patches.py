@@ -64,7 +64,7 @@ def simplified(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
             points, faces.astype(np.int32), target_count=MOST_FACES
         )
     off, _ = KDTree(mesh.vertices).query(points)
-    light = trimesh.Trimesh(points, faces[(off[faces] < 0.5 * length).all(1)], process=False)
+    light = trimesh.Trimesh(points, faces[(off[faces] < length / SKIRT).all(1)], process=False)
     light.remove_unreferenced_vertices()
     return light if len(light.faces) else mesh
 

@@ -24,6 +24,9 @@ FINEST = 0.01
 WIDEST_SMOOTHING = 21
 """Pixels; wider averages would round the object away before they calm the noise."""
 
+TELLING = 6.0
+"""Standard deviations of an averaged range between object and background that tell their shares."""
+
 LEAST_SHARE = 0.05
 """Pieces of a patch with less of its faces are wild pixels at an edge."""
 
@@ -36,12 +39,13 @@ def mesh_of_region(
     *,
     sigma: float,
     beam: int = 1,
+    behind: Float[Tensor, "h w"] | None = None,
 ) -> trimesh.Trimesh:
     """A mesh of the pixels of a region, turned towards the sensor.
 
     Noise that is wider than the pixels is averaged away within each surface, pixels in which the
-    beam mixes the object with what stands beside it carry on the surface of the pure ones, and no
-    triangle crosses a jump in range.
+    beam mixes the object with what stands beside it carry on the surface of the pure ones, or are
+    left out where it is mostly what stands behind, and no triangle crosses a jump in range.
 
     Args:
         ranges: m; NaN where nothing was measured.
@@ -50,6 +54,7 @@ def mesh_of_region(
         T_world_sensor: The pose from which the image was taken.
         sigma: Standard deviation (m) of one pixel's range.
         beam: Side (pixels) of the beam's box.
+        behind: What stands behind the object (m); NaN where nobody knows, None if nowhere.
 
     Returns:
         In the world frame, in metres; empty where the region holds no triangle.
@@ -65,6 +70,9 @@ def mesh_of_region(
     u, v = (c.cpu()[crop] for c in pixel_grid(projection, dtype=torch.float64, device=mask.device))
     rays = projection.rays(u, v).numpy()
     calm = extended(smoothed(measured, pure, side, sigma), pure, beam | 1)
+    if behind is not None:
+        far = behind[crop].double().cpu().numpy()
+        inside &= pure | filled_by_half(measured, calm, far, side, sigma)
     smooth = flattened(calm, inside, rays, max(sigma / side, FINEST * width))
     faces = largest_pieces(
         grid_faces(smooth, inside, STEEPEST * width + 3.0 * math.sqrt(2.0) * sigma / side)
@@ -108,9 +116,10 @@ def smoothed(
 def unmixed(inside: Bool[np.ndarray, "h w"], beam: int) -> Bool[np.ndarray, "h w"]:
     """The pixels of a region in which the beam mixes in nothing of what stands beside it.
 
-    They lie half a beam inside its edge; parts too thin to have any keep all their pixels.
+    They lie half a beam inside its edge, of a beam of one pixel that pixel; parts too thin to have
+    any keep all their pixels.
     """
-    reach = beam // 2
+    reach = max(beam // 2, min(beam, 1))
     if reach == 0:
         return inside
     square = np.ones((2 * reach + 1, 2 * reach + 1), bool)
@@ -121,6 +130,30 @@ def unmixed(inside: Bool[np.ndarray, "h w"], beam: int) -> Bool[np.ndarray, "h w
         return inside
     distance = np.asarray(ndimage.distance_transform_edt(~pure))
     return pure | (inside & (distance > beam))
+
+
+def filled_by_half(
+    measured: Float[np.ndarray, "h w"],
+    surface: Float[np.ndarray, "h w"],
+    behind: Float[np.ndarray, "h w"],
+    side: int,
+    sigma: float,
+) -> Bool[np.ndarray, "h w"]:
+    """Where an object fills half of the beam or more, or nobody can tell.
+
+    The beam's mean (eq. 18) lies between the object and what is behind it by the share of each.
+
+    Args:
+        measured: m; NaN where nothing was measured.
+        surface: Range of the object, carried on beyond its edge (m).
+        behind: Range of what stands behind it (m); NaN where nobody knows.
+        side: Of the square (pixels) over which the share is averaged.
+        sigma: Standard deviation (m) of one pixel's range.
+    """
+    step = behind - surface
+    known = np.isfinite(measured) & (step > TELLING * sigma / side)
+    share = (behind - measured) / np.where(known, step, 1.0)
+    return ~known | (box_mean(share, known, side)[0] >= 0.5)
 
 
 def extended(

@@ -237,7 +237,13 @@ def _patch(
     middle = measured.nanmedian()
     sigma = float(sensor.noise.sigma(middle))
     mesh = mesh_of_region(
-        frame.measured, mask, sensor.projection, T_world_sensor, sigma=sigma, beam=sensor.beam
+        frame.measured,
+        mask,
+        sensor.projection,
+        T_world_sensor,
+        sigma=sigma,
+        beam=sensor.beam,
+        behind=frame.predicted,
     )
     if len(mesh.faces) == 0:
         return None
