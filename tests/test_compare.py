@@ -1,6 +1,6 @@
 """Eq. 1, 4 and 5 against tables, hand calculations and counted false alarms."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import recordings
@@ -131,6 +131,12 @@ def test_correlated_errors_count_with_their_sign():
 def test_sigma_contains_the_drift():
     (frame,) = compared(wall_job(sigma=0.03), certain(), drift_sigma=0.04, drift_pixels=9.0)
     torch.testing.assert_close(frame.sigma, torch.full((48, 64), 0.05), rtol=1e-5, atol=0)
+
+
+def test_a_comparison_takes_27_bytes_a_pixel():
+    (frame,) = compared(wall_job(), certain())
+    arrays = [getattr(frame, field.name) for field in fields(frame) if field.name != "name"]
+    assert sum(array.element_size() * array.numel() for array in arrays) == 27 * 48 * 64
 
 
 def test_what_the_model_shows_comes_with_the_comparison():
