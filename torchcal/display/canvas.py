@@ -1,6 +1,7 @@
 """Figures laid out in pixels, so that one image pixel covers whole figure pixels."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import UInt8
@@ -129,5 +130,11 @@ def pixels(figure: Figure) -> Image.Image:
 
 def _drawable(words: str) -> str:
     """The words with a square for every character that the font does not have."""
-    known = get_font(findfont(FontProperties(family=FONT))).get_charmap()
+    known = _known_letters()
     return "".join(letter if ord(letter) in known else "□" for letter in words)
+
+
+@cache
+def _known_letters() -> frozenset[int]:
+    """Those of the font, by their code points."""
+    return frozenset(get_font(findfont(FontProperties(family=FONT))).get_charmap())
