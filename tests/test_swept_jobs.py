@@ -52,8 +52,8 @@ def truth(**changes) -> Truth:
     return replace(plain, **changes)
 
 
-def answer(T, sigma=None, *, usable=True) -> Answer:
-    return Answer(usable=usable, Ts_world_sensor=T[None], sigma=sigma)
+def answer(T, sigma=None, *, status="converged") -> Answer:
+    return Answer(status=status, Ts_world_sensor=T[None], sigma=sigma)
 
 
 def test_every_factor_is_swept_from_seeds_of_its_own():
@@ -131,6 +131,17 @@ def test_a_room_of_few_planes_has_no_more_and_shows_them():
     assert len(drawn_room(rng).world.objects) == 14
 
 
+@pytest.mark.parametrize("planes", [1, 2])
+def test_no_image_of_few_planes_tells_how_far_along_them_it_was_taken(planes):
+    meshes = meshes_in_world(corner(planes).world)
+    here = drawn_view(np.random.default_rng(1), heading=math.pi / 4)
+    there = here.clone()
+    there[0, 3] += 0.3
+    images = [seen(meshes, T, SENSOR) for T in (there, here)]
+    one, other = (np.where(image <= SENSOR.far, image, np.nan) for image in images)
+    np.testing.assert_allclose(one, other, atol=1e-5, equal_nan=True)
+
+
 def test_an_arm_with_offset_joints_is_a_job_too(tmp_path):
     found = swept(joints_deg=1.0).write(tmp_path / "job")
     job = read_job(tmp_path / "job" / "job.toml")
@@ -142,7 +153,7 @@ def test_right_is_near_and_usable():
     near, far = moved(0.005, 0, 0, 0, 0.005, 0), moved(0.02, 0, 0, 0, 0, 0)
     assert judged(answer(near), truth()).found
     assert not judged(answer(far), truth()).found
-    assert not judged(answer(near, usable=False), truth()).found
+    assert not judged(answer(near, status="failed"), truth()).found
     assert not judged(None, truth()).found
     assert judged(answer(far), truth()).position == pytest.approx(0.02)
 
@@ -150,7 +161,9 @@ def test_right_is_near_and_usable():
 def test_where_nothing_can_be_told_saying_so_is_right():
     blind = truth(observable=False)
     anywhere = moved(1, 0, 0, 0, 0, 0)
-    assert judged(answer(anywhere, usable=False), blind).found
+    for status in ("unobservable", "ambiguous"):
+        assert judged(answer(anywhere, status=status), blind).found
+    assert not judged(answer(anywhere, status="failed"), blind).found
     assert not judged(None, blind).found
     assert not judged(answer(anywhere), blind).found
 
@@ -168,7 +181,7 @@ def test_wrong_and_sure_is_by_the_programs_own_sigmas():
     assert not judged(answer(off, wide), truth()).deceived
     assert judged(answer(off, narrow), truth()).deceived
     assert judged(answer(off), truth()).deceived
-    assert not judged(answer(off, narrow, usable=False), truth()).deceived
+    assert not judged(answer(off, narrow, status="failed"), truth()).deceived
 
 
 def test_a_score_counts_and_takes_medians_of_usable_answers():

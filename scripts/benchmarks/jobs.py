@@ -40,9 +40,9 @@ Jobs with known truth in which one thing at a time gets worse: `scripts/benchmar
 a factor is not swept: a room of eight boxes, 10 mm of noise, a beam of 3 pixels, a start that is
 50 mm and 3 degrees off). Cells: answers that are right, of all; of those a program called usable
 the median error; wrong and sure. Right is a usable answer within {found:g} mm and {found:g} mrad,
-modulo the room's symmetry; where the images cannot tell the pose (one or two planes), one that
-says so. Wrong and sure is a usable answer more than {sure:g} of its own sigmas off, or, from a
-program that states none, one that is not right.
+or, where the images cannot tell the pose (one or two planes, a symmetric room without a start), one
+with the status `unobservable` or `ambiguous`. Wrong and sure is a usable answer more than {sure:g}
+of its own sigmas off, or, from a program that states none, one that is not near.
 """
 
 

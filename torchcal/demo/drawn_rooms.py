@@ -31,8 +31,8 @@ EYES = 1.2, 1.5
 """m: its height."""
 NOD = 0.15, 0.3
 """rad: how far it looks down."""
-PLANES = ("floor", "wall_north", "wall_east")
-"""In the order in which a room of few planes gets them; they meet in a corner."""
+WIDE = 60.0
+"""m: sides of planes in a room of few: beyond the sensor's range on all sides."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -63,10 +63,13 @@ def symmetric_room(rng: np.random.Generator, folds: int) -> Room:
 
 
 def corner(planes: int) -> Room:
-    """Nothing but so many of ``PLANES``."""
-    shell = {item.name: item for item in _shell(WIDTH, LENGTH)}
-    objects = tuple(shell[name] for name in PLANES[:planes])
-    return Room(world=World(objects=objects), symmetries=(_turn(1, 0),))
+    """Nothing but so many planes, of which no image shows an edge: floor, north and east wall."""
+    slabs = (
+        _slab("floor", (WIDE, WIDE, THICK), (0.0, 0.0, -THICK / 2)),
+        _slab("wall_north", (WIDE, THICK, WIDE), (0.0, LENGTH / 2 + THICK / 2, 0.0)),
+        _slab("wall_east", (THICK, WIDE, WIDE), (WIDTH / 2 + THICK / 2, 0.0, 0.0)),
+    )
+    return Room(world=World(objects=slabs[:planes]), symmetries=(_turn(1, 0),))
 
 
 def drawn_boxes(rng: np.random.Generator, count: int, name: str = "box") -> tuple[WorldObject, ...]:

@@ -61,7 +61,7 @@ class Truth:
     symmetries: Float[Tensor, "symmetry 4 4"]
     """``T_world_world``: poses that no image can tell apart, the identity first."""
     observable: bool
-    """Whether images can tell the pose at all."""
+    """Whether the images can tell the pose: not with few planes, nor one of several alike."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,11 +89,11 @@ class SweptJob:
         if self.setting.joints_deg > 0.0:
             return self._truth(_write_arm_job(folder, self.setting, self.side, rng))
         room, T_world_sensor = _write_room_job(folder, self.setting, self.side, rng)
-        planes = self.setting.planes
+        enough = self.setting.planes is None or self.setting.planes >= FEWEST
         return replace(
             self._truth(T_world_sensor[None]),
             symmetries=torch.stack(room.symmetries),
-            observable=planes is None or planes >= FEWEST,
+            observable=enough and len(room.symmetries) == 1,
         )
 
     def _truth(self, Ts_world_sensor: Tensor) -> Truth:

@@ -27,11 +27,21 @@ SURE = 5.0
 class Answer:
     """What one program said of one job."""
 
-    usable: bool
-    """It called the answer good."""
+    status: str
+    """As ``result.json`` has it."""
     Ts_world_sensor: Float[Tensor, "frame 4 4"]
     sigma: Float[Tensor, "frame 6"] | None
     """m and rad, of a twist on the right of each pose; None where the program does not say."""
+
+    @property
+    def usable(self) -> bool:
+        """It called the answer good."""
+        return self.status == "converged"
+
+    @property
+    def doubtful(self) -> bool:
+        """It said that the images cannot tell."""
+        return self.status in ("ambiguous", "unobservable")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,7 +54,7 @@ class Judged:
     """rad"""
     usable: bool
     found: bool
-    """Usable and right, or an answer that rightly calls itself unusable where no image can tell."""
+    """Usable and right, or where the images cannot tell an answer that says so."""
     deceived: bool
     """Usable and wrong, by the program's own sigmas where it states any."""
 
@@ -75,7 +85,7 @@ def read_answer(file: Path) -> Answer | None:
         frames = data["frames"]
         poses = torch.tensor([frame["T_world_sensor"] for frame in frames], dtype=torch.float64)
         return Answer(
-            usable=data["status"] == "converged",
+            status=data["status"],
             Ts_world_sensor=poses.reshape(-1, 4, 4),
             sigma=_sigmas(frames),
         )
@@ -103,7 +113,7 @@ def judged(answer: Answer | None, truth: Truth) -> Judged:
         position=position,
         rotation=rotation,
         usable=answer.usable,
-        found=answer.usable and near if truth.observable else not answer.usable,
+        found=answer.usable and near if truth.observable else answer.doubtful,
         deceived=answer.usable and not _is_covered(answer, true[best], near),
     )
 
