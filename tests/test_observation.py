@@ -20,13 +20,20 @@ EDGE = 20
 """First column of the far side in ``step_image``."""
 
 
-def job_of(image: Tensor, *, usable: Tensor | None = None, beam: int = 1, far: float = 10.0) -> Job:
+def job_of(
+    image: Tensor,
+    *,
+    usable: Tensor | None = None,
+    beam: int = 1,
+    far: float = 10.0,
+    lens: Pinhole = FINE,
+) -> Job:
     noise = Noise(a=0.001, b=0.002, drift=NO_DRIFT)
     return Job(
         file=Path("job.toml"),
         world=recordings.world_of(recordings.room()),
         robot=None,
-        sensor=Sensor(projection=FINE, noise=noise, near=0.1, far=far, beam=beam),
+        sensor=Sensor(projection=lens, noise=noise, near=0.1, far=far, beam=beam),
         link=None,
         T_world_base=EYE,
         T_link_sensor=EYE,
@@ -180,7 +187,6 @@ def test_masks_grow_by_a_square(rng, pixels):
 def test_images_of_a_pixel_or_a_row_are_observed(shape):
     image = torch.full(shape, 1.0, dtype=torch.float64)
     lens = Pinhole(width=shape[1], height=shape[0], fx=9.0, fy=9.0, cx=0.0, cy=0.0)
-    job = job_of(image)
-    found = observe(replace(job, sensor=replace(job.sensor, projection=lens)))
+    found = observe(job_of(image, lens=lens))
     assert found.range.shape == found.measured.shape == found.sigma.shape == (1, *shape)
     assert found.measured.all()

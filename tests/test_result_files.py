@@ -165,10 +165,14 @@ def arm_calibration(tmp_path):
         encoding="utf-8",
     )
     whole = calibration()
+    frames = [
+        dataclasses.replace(frame, joints=torch.zeros(1, dtype=torch.float64))
+        for frame in whole.job.frames
+    ]
     robot, T = load_robot(file), se3.exp(torch.tensor([0.1, 0.0, 0.0, 0.0, 0.0, 0.2]).double())
     return dataclasses.replace(
         whole,
-        job=dataclasses.replace(whole.job, robot=robot, link="tool"),
+        job=dataclasses.replace(whole.job, robot=robot, link="tool", frames=tuple(frames)),
         estimate=dataclasses.replace(whole.estimate, T_world_base=T),
     )
 
