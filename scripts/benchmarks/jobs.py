@@ -18,7 +18,6 @@ from torchcal.demo.swept_score import (
     FOUND,
     SURE,
     Judged,
-    Score,
     judged,
     read_answer,
     read_truth,
@@ -34,6 +33,8 @@ Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 Results = Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
 
 TRUTH = "truth.json"
+Level = tuple[str, str]
+"""A factor and its level."""
 ABOUT = """\
 Jobs with known truth in which one thing at a time gets worse: `scripts/benchmark.py generate
 --tier {tier} --seed {seed}` ({jobs} jobs, images of {side} x {side} pixels cast by Embree; where
@@ -97,8 +98,9 @@ def score_results(folder: Folder, results: Results, *, out: Path | None = None) 
         raise SystemExit(f"{folder}: found no {TRUTH}; expected a folder that generate wrote")
     data = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
     truths = {name: read_truth(folder / TRUTH, each) for name, each in data["truths"].items()}
-    scores = {program.name: _scores(program, truths) for program in results}
-    text = _table(scores)
+    answers = {program.name: _judged(program, truths) for program in results}
+    factors = {name: _by_factor(each) for name, each in answers.items()}
+    text = f"{_table(factors)}\n{_table(answers)}"
     print(text)
     if out is not None:
         tier = TIERS[data["tier"]]
@@ -135,37 +137,38 @@ def _pose(localise: Any, image: Tensor, start: Tensor) -> list[list[float]]:
         return start.tolist()
 
 
-def _scores(program: Path, truths: Mapping[str, Truth]) -> dict[tuple[str, str], Score]:
+def _judged(program: Path, truths: Mapping[str, Truth]) -> dict[Level, list[Judged]]:
     """By factor and level."""
-    answers: dict[tuple[str, str], list[Judged]] = defaultdict(list)
+    answers: dict[Level, list[Judged]] = defaultdict(list)
     for name, truth in truths.items():
         answer = read_answer(program / name / "result.json")
         answers[truth.factor, truth.level].append(judged(answer, truth))
-    return {level: score(each) for level, each in answers.items()}
+    return answers
 
 
-def _table(scores: Mapping[str, Mapping[tuple[str, str], Score]]) -> str:
+def _by_factor(answers: Mapping[Level, list[Judged]]) -> dict[Level, list[Judged]]:
+    """All levels of each factor together."""
+    factors: dict[Level, list[Judged]] = defaultdict(list)
+    for (factor, _), each in answers.items():
+        factors[factor, "all"] += each
+    return factors
+
+
+def _table(programs: Mapping[str, Mapping[Level, list[Judged]]]) -> str:
     """A Markdown table: a row for each level, three columns for each program."""
     heading = ["factor", "level"]
-    for program in scores:
+    for program in programs:
         heading += [f"{program}: right", "median error", "wrong and sure"]
     lines = [heading, ["---"] * len(heading)]
-    levels = list(next(iter(scores.values())))
-    for factor, level in levels:
-        cells = [factor, level]
-        for program in scores.values():
-            cells += _cells(program[factor, level])
-        lines.append(cells)
-    sums = ["all", ""]
-    for program in scores.values():
-        of = program.values()
-        right, jobs = sum(each.found for each in of), sum(each.jobs for each in of)
-        sums += [f"{right} of {jobs}", "", f"{sum(each.deceived for each in of)}"]
-    lines.append(sums)
+    for level in next(iter(programs.values())):
+        lines.append([*level, *(cell for of in programs.values() for cell in _cells(of[level]))])
+    every = [[each for some in of.values() for each in some] for of in programs.values()]
+    lines.append(["all", "all", *(cell for each in every for cell in _cells(each))])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-def _cells(of: Score) -> list[str]:
+def _cells(answers: list[Judged]) -> list[str]:
+    of = score(answers)
     error = "-"
     if math.isfinite(of.position):
         error = f"{1e3 * of.position:.3g} mm, {1e3 * of.rotation:.3g} mrad"
