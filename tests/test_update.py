@@ -26,7 +26,7 @@ from torchcal.calibrate.result import (
     Proposal,
     Update,
 )
-from torchcal.calibrate.update import propose_update
+from torchcal.calibrate.update import added_objects, frame_regions, object_verdicts
 from torchcal.model.job import Frame, Job
 from torchcal.model.range_image import RangeImage
 from torchcal.model.scene import Body
@@ -83,12 +83,18 @@ def noisy(measured, predicted, seed=0, **kwargs):
     return comparison(measured + white(seed), predicted, 0.05, **kwargs)
 
 
+def proposed_of(recorded, *frames, scene_bodies=BODIES, correlation=0.0):
+    """What single frames say, before anything that moved is looked for."""
+    regions = frame_regions(recorded, frames, correlation_pixels=correlation)
+    return Update(
+        verdicts=object_verdicts(recorded, frames, regions, scene_bodies, {}),
+        added=added_objects(recorded, frames, regions, EYE.expand(len(frames), 4, 4)),
+    )
+
+
 def update(*frames, sensor=NOISY, surroundings=None, correlation=0.0):
     surroundings = world() if surroundings is None else surroundings
-    Ts = EYE.expand(len(frames), 4, 4)
-    return propose_update(
-        job(sensor, surroundings), frames, BODIES, Ts, correlation_pixels=correlation, moved={}
-    )
+    return proposed_of(job(sensor, surroundings), *frames, correlation=correlation)
 
 
 def crate_model(beam=21):
@@ -239,8 +245,8 @@ def test_without_a_world_there_are_no_verdicts_but_a_tool_before_the_robot_is_ad
     measured[30:130, 50:150] = 3.0
     measured[BOX] = 2.7
     frame = comparison(measured, model, 0.0036, body=torch.full(SHAPE, 2))
-    proposed = propose_update(
-        job(DEPTH_CAMERA, None), [frame], BODIES[2:], EYE[None], correlation_pixels=30.0, moved={}
+    proposed = proposed_of(
+        job(DEPTH_CAMERA, None), frame, scene_bodies=BODIES[2:], correlation=30.0
     )
     assert proposed.verdicts == {}
     assert len(proposed.added) == 1
@@ -250,14 +256,8 @@ def test_alpha_of_the_job_widens_what_counts_as_agreement():
     few = replace(job(NOISY, world()), alpha=3.0)
     strict = replace(few, alpha=60.0)
     frame = noisy(scene(2.9, beam=21), scene())
-    assert (
-        len(propose_update(few, [frame], BODIES, EYE[None], correlation_pixels=0.0, moved={}).added)
-        == 1
-    )
-    assert (
-        propose_update(strict, [frame], BODIES, EYE[None], correlation_pixels=0.0, moved={}).added
-        == ()
-    )
+    assert len(proposed_of(few, frame).added) == 1
+    assert proposed_of(strict, frame).added == ()
 
 
 def test_added_objects_never_take_the_name_of_one_of_the_world():
@@ -265,9 +265,7 @@ def test_added_objects_never_take_the_name_of_one_of_the_world():
     wall, *others = world().objects
     surroundings = World(objects=(replace(wall, name="added_1"), *others))
     frame = noisy(scene(2.9, beam=21), scene())
-    proposed = propose_update(
-        job(NOISY, surroundings), [frame], taken, EYE[None], correlation_pixels=0.0, moved={}
-    )
+    proposed = proposed_of(job(NOISY, surroundings), frame, scene_bodies=taken)
     assert [item.name for item in proposed.added] == ["added_1-2"]
 
 

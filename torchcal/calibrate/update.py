@@ -26,7 +26,6 @@ from torchcal.calibrate.result import (
     FrameComparison,
     ObjectVerdict,
     PixelClass,
-    Update,
 )
 from torchcal.model.job import Job
 from torchcal.model.scene import Body
@@ -49,35 +48,6 @@ RING = 5
 """Pixels: the width of those surroundings."""
 
 
-def propose_update(
-    job: Job,
-    comparisons: Sequence[FrameComparison],
-    scene_bodies: tuple[Body, ...],
-    Ts_world_sensor: Float[Tensor, "frame 4 4"],
-    *,
-    correlation_pixels: float,
-    moved: Mapping[str, Float[Tensor, "4 4"]],
-) -> Update:
-    """Verdicts on the world's objects, and new objects with meshes made from the range data.
-
-    Args:
-        job: The recording; its sensor, alpha and ``world.complete`` are used.
-        comparisons: One for each frame.
-        scene_bodies: What ``FrameComparison.body`` counts.
-        Ts_world_sensor: The estimated pose of each frame.
-        correlation_pixels: Correlation length (pixels) of the slowly varying range error, or 0.
-        moved: ``T_world_object`` of those that the estimate has found elsewhere.
-
-    Returns:
-        Verdicts for every object of the world, none for links of the robot; added objects.
-    """
-    regions = frame_regions(job, comparisons, correlation_pixels=correlation_pixels)
-    return Update(
-        verdicts=object_verdicts(job, comparisons, regions, scene_bodies, moved),
-        added=added_objects(job, comparisons, regions, Ts_world_sensor),
-    )
-
-
 def frame_regions(
     job: Job, comparisons: Sequence[FrameComparison], *, correlation_pixels: float
 ) -> tuple[tuple[Region, ...], ...]:
@@ -97,7 +67,15 @@ def object_verdicts(
     scene_bodies: tuple[Body, ...],
     moved: Mapping[str, Float[Tensor, "4 4"]],
 ) -> dict[str, ObjectVerdict]:
-    """What the images say of every object of the world; ``moved`` as for ``propose_update``."""
+    """What the images say of every object of the world, and nothing of the robot's links.
+
+    Args:
+        job: Its sensor is used.
+        comparisons: One for each frame.
+        regions: Those of each frame.
+        scene_bodies: What ``FrameComparison.body`` counts.
+        moved: ``T_world_object`` of those that the estimate has found elsewhere.
+    """
     verdicts = {
         body.name: object_verdict(index, comparisons, regions, job.sensor.beam)
         for index, body in enumerate(scene_bodies)
