@@ -188,6 +188,16 @@ def test_other_texts_in_the_folder_are_no_poses(tmp_path: Path):
     assert "frame.pose" in imported(source, tmp_path).to_fill_in
 
 
+def test_other_texts_do_not_matter_where_the_poses_were_chosen(tmp_path: Path):
+    source = write_images(tmp_path / "in")
+    write_log(source / "slam.log")
+    (source / "imu.txt").write_text("1.0 0 0 9.8 0.1 0.2 0.3 25.0\n")
+    with pytest.raises(JobError, match=r"imu\.txt"):
+        imported(source, tmp_path)
+    made = import_recording(source, tmp_path / "out", selection=Selection(use=("slam.log",)))
+    assert made.frames == 3
+
+
 def test_a_file_that_is_not_there_cannot_be_chosen(tmp_path: Path):
     source = write_images(tmp_path / "in")
     write_log(source / "slam.log")

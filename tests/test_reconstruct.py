@@ -67,6 +67,18 @@ def test_the_outline_is_where_the_object_fills_half_of_a_pixel(share, pixels):
     np.testing.assert_allclose(mesh.extents, [side, side, 0.0], atol=1e-9)
 
 
+def test_the_rim_of_a_dome_carries_on_its_slope():
+    v, u = np.indices(SHAPE) - 85.0
+    dome = 2.7 + 4e-5 * (u**2 + v**2)  # 2.4 mm a pixel at the rim
+    ranges = scene()
+    ranges[BOX] = dome[BOX]
+    mesh = mesh_of(ranges, behind=scene(), sigma=1e-5)
+    pixels = mesh.vertices[:, :2] / mesh.vertices[:, 2:] * 549.0 + [99.5, 79.5] - 85.0
+    expected = 2.7 + 4e-5 * (pixels**2).sum(1)
+    assert len(mesh.vertices) == 60 * 60
+    np.testing.assert_allclose(mesh.vertices[:, 2], expected, atol=3e-4)
+
+
 def test_the_mesh_stands_in_the_world_where_the_sensor_saw_it():
     T = pose([1.0, -2.0, 0.5], [0.3, -0.2, 1.1])
     here, there = mesh_of(scene(2.7)), mesh_of(scene(2.7), T=T)

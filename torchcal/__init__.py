@@ -114,3 +114,7 @@ def __getattr__(name: str) -> object:
     if name not in _WRITERS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_WRITERS[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_WRITERS})

@@ -1,4 +1,4 @@
-"""How much memory large images and long recordings take."""
+"""How much memory large images and long recordings take; Linux only."""
 
 import os
 import subprocess
@@ -12,7 +12,6 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from .fleet import COMMAND
 from .table import NOTHING, REPORT, Row, table, write_section
 
 ROOM = np.array([6.0, 5.0, 2.8])
@@ -44,8 +43,16 @@ FRAME = """\
 depth = "{name}"
 pose = {{ xyz = [0.02, 0, 0], rpy_deg = [{rpy[0]}, {rpy[1]}, {rpy[2]}] }}
 """
-KILO = 1 if sys.platform == "darwin" else 1024
-"""Bytes in which the system counts a process's memory."""
+COMMAND = """\
+import sys
+from pathlib import Path
+from torchcal.cli.main import main
+status = main(sys.argv[2:])
+words = Path("/proc/self/status").read_text().split()
+Path(sys.argv[1]).write_text(words[words.index("VmHWM:") + 1])
+sys.exit(status)
+"""
+"""What Linux tells of a child that has ended counts the one that started it as well."""
 ABOUT = """\
 The most memory that a command held at once, on images of a room in which a crate of the model
 is gone, the camera's pose unknown (`scripts/benchmark.py memory`); bytes a pixel are those beyond
@@ -143,10 +150,15 @@ def _row(load: Load, held: _Held, least: int) -> Row:
 def _run(command: str, folder: Path) -> _Held:
     """Runs one command in a process of its own."""
     words = [command, str(folder / "job" / "job.toml"), "--out", str(folder / "out"), "--json"]
+    peak = folder / "peak"
     process = subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *words], stdout=subprocess.DEVNULL, stderr=sys.stderr
+        [sys.executable, "-c", COMMAND, str(peak), *words],
+        stdout=subprocess.DEVNULL,
+        stderr=sys.stderr,
     )
     _, status, used = os.wait4(process.pid, 0)
     if status:
-        raise RuntimeError(f"torchcal {' '.join(words)}: found exit {status}; expected 0")
-    return _Held(bytes=KILO * used.ru_maxrss, seconds=used.ru_utime + used.ru_stime)
+        code = os.waitstatus_to_exitcode(status)
+        raise RuntimeError(f"torchcal {' '.join(words)}: found exit {code}; expected 0")
+    seconds = used.ru_utime + used.ru_stime
+    return _Held(bytes=1024 * int(peak.read_text()), seconds=seconds)

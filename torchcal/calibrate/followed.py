@@ -97,7 +97,8 @@ class Followed:
     def _refuse_elsewhere(self, passed: Passed, line: Mapping[str, Any]) -> None:
         """Raises unless the job puts the sensor where the line says, which the images do not."""
         said = passed.state.new_tensor(line["T_world_sensor"]).cpu().double()
-        found = self.place(passed).T_world_sensor
+        parameters = self._parameters_at(self.recording.files[passed.index].blank())
+        found = parameters.sensor_poses(passed.state)[0].cpu().double()
         if not float((found - said).abs().max()) <= ELSEWHERE:
             raise self._other(
                 f"a sensor in frame {line['name']} that is elsewhere than its corrections put it",

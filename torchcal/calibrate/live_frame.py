@@ -25,20 +25,16 @@ def usable_frame(frame: Frame, job: Job) -> Frame | str:
     """The frame without what its sensor cannot have measured, or a sentence that says why not."""
     image, projection = frame.image, job.sensor.projection
     expected = projection.height, projection.width
-    if {tuple(image.range.shape), tuple(image.usable.shape)} != {expected}:
+    if tuple(image.range.shape) != expected:
         return f"Found an image of shape {tuple(image.range.shape)}; expected {expected}."
     if job.robot is not None:
         joints, count = frame.joints, len(job.robot.joint_names)
         if joints is None or tuple(joints.shape) != (count,) or not joints.isfinite().all():
             return f"Found joint values {joints}; expected {count} finite numbers."
-    elif frame.T_world_sensor is not None and not _is_pose(frame.T_world_sensor):
-        return "Found a nominal pose that is none; expected a finite 4 x 4 matrix."
+    elif frame.T_world_sensor is not None and not frame.T_world_sensor.isfinite().all():
+        return "Found a nominal pose that is not finite; expected finite numbers."
     inside = (image.range >= job.sensor.near) & (image.range <= job.sensor.far)
     if not (image.usable & inside).any():
         return "The image holds no measured pixel that may be used."
     ranges = torch.where(inside, image.range, torch.nan)
     return replace(frame, image=replace(image, range=ranges))
-
-
-def _is_pose(T: torch.Tensor) -> bool:
-    return tuple(T.shape) == (4, 4) and bool(T.isfinite().all())

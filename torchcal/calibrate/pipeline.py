@@ -16,7 +16,7 @@ from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
 from torchcal.calibrate.result import Calibration, FrameComparison, Status
 from torchcal.calibrate.revise import revise
-from torchcal.calibrate.stages import Progress, Stages, Tick
+from torchcal.calibrate.stages import ONCE, Progress, Stages, Tick
 from torchcal.calibrate.suspicion import suspicions
 from torchcal.model.job import Job, check_frames
 from torchcal.model.precision import job_in_double
@@ -55,7 +55,7 @@ def calibrate(
     belief, choice = nominal_belief(job, parameters), None
     if estimate and parameters.names:
         belief, choice = _estimated(job, scene, parameters, generator, bases, stages)
-    with stages.stage("compare"):
+    with stages.stage("compare", rounds=ONCE):
         belief, comparisons = compare(job, scene, parameters, belief, stages.tick)
     result = estimate_of(job.sensor, parameters, belief, choice, comparisons)
     with stages.stage("update"):

@@ -24,6 +24,9 @@ FINEST = 0.01
 WIDEST_SMOOTHING = 21
 """Pixels; wider averages would round the object away before they calm the noise."""
 
+SLOPE_SIDE = 5
+"""Pixels: at least the side of the square in which a slope is found."""
+
 TELLING = 6.0
 """Standard deviations of an averaged range between object and background that tell their shares."""
 
@@ -69,7 +72,7 @@ def mesh_of_region(
     pure = unmixed(inside, beam)
     u, v = (c.cpu()[crop] for c in pixel_grid(projection, dtype=torch.float64, device=mask.device))
     rays = projection.rays(u, v).numpy()
-    calm = extended(smoothed(measured, pure, side, sigma), pure, beam | 1)
+    calm = extended(smoothed(measured, pure, side, sigma), pure, max(beam, SLOPE_SIDE) | 1)
     if behind is not None:
         far = behind[crop].double().cpu().numpy()
         inside &= pure | filled_by_half(measured, calm, far, side, sigma)
@@ -129,7 +132,7 @@ def unmixed(inside: Bool[np.ndarray, "h w"], beam: int) -> Bool[np.ndarray, "h w
     if not pure.any():
         return inside
     distance = np.asarray(ndimage.distance_transform_edt(~pure))
-    return pure | (inside & (distance > beam))
+    return pure | (inside & (distance > 2 * reach))
 
 
 def filled_by_half(
@@ -183,8 +186,8 @@ def slopes(
         return box_mean(image, mask, side)[0]
 
     z0, v0, u0 = mean(ranges), mean(v), mean(u)
-    # One square pixel keeps the slope of a single line or pixel finite.
-    vv, uu = mean(v * v) - v0 * v0 + 1.0, mean(u * u) - u0 * u0 + 1.0
+    # A hundredth of a square pixel keeps the slope of a single line or pixel finite.
+    vv, uu = mean(v * v) - v0 * v0 + 0.01, mean(u * u) - u0 * u0 + 0.01
     uv, zv, zu = mean(u * v) - u0 * v0, mean(ranges * v) - z0 * v0, mean(ranges * u) - z0 * u0
     determinant = vv * uu - uv * uv
     return (uu * zv - uv * zu) / determinant, (vv * zu - uv * zv) / determinant

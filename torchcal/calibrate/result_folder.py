@@ -2,9 +2,9 @@
 
 Beside ``result.json`` and ``robot.urdf``: ``model/world.glb`` is the job's model,
 ``model/added.glb`` holds the meshes that are proposed, ``model/record.json`` the numbers,
-``frames/*.npz`` the comparison of each frame. Only ``world.glb`` ever changes. Its extras hold the
-decisions, so that a model and what was decided about it can never differ, whenever a program is
-stopped.
+``frames/*.npz`` the comparison of each frame. Of these only ``world.glb`` ever changes. Its extras
+hold the decisions, so that a model and what was decided about it can never differ, whenever a
+program is stopped.
 """
 
 import json

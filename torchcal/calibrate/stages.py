@@ -14,6 +14,10 @@ ROUNDS = 10
 """So often a stage looks at every image, more or less: how often only its fit finds out."""
 
 
+ONCE = 0.1
+"""For a stage that looks at every image once: the last one brings it to nine tenths."""
+
+
 def quiet() -> None:
     """Tells nobody."""
 
@@ -34,12 +38,13 @@ class Stages:
         self._images = images
         self._stage = ""
         self._done = 0
+        self._expected = 0.0
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """A stage for as long as the context lasts."""
+    def stage(self, name: str, rounds: float = ROUNDS) -> Iterator[None]:
+        """A stage for as long as the context lasts, and how often it looks at every image."""
         start = time.perf_counter()
-        self._stage, self._done = name, 0
+        self._stage, self._done, self._expected = name, 0, rounds * self._images
         self._tell(0.0)
         yield
         self.timing[name] = time.perf_counter() - start
@@ -48,7 +53,7 @@ class Stages:
     def tick(self) -> None:
         """One more image of the present stage is done."""
         self._done += 1
-        self._tell(self._done / (self._done + ROUNDS * self._images))
+        self._tell(self._done / (self._done + self._expected))
 
     def _tell(self, share: float) -> None:
         if self._progress is not None:

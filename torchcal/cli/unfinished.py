@@ -10,7 +10,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from torchcal.errors import TorchcalError
@@ -64,7 +64,7 @@ def clear_leftovers(folders: Iterable[Path]) -> None:
         found = [(path, _LEFTOVER.fullmatch(path.name)) for path in _content(parent)]
         ours = [(path, match[1], match[2]) for path, match in found if match and match[1] in known]
         # Who still writes may be about to take the place of what it has put aside.
-        busy = {name for path, name, kind in ours if kind == "partial" and not _removed(path)}
+        busy = {name for path, name, kind in ours if kind == "partial" and _is_held(path)}
         for path, name, kind in ours:
             if kind == "old" and name not in busy:
                 _restore(path, parent / name)
@@ -75,7 +75,8 @@ def _restore(old: Path, target: Path) -> None:
     if target.exists():
         shutil.rmtree(old, ignore_errors=True)
     else:
-        old.rename(target)
+        with suppress(OSError):  # another run was quicker
+            old.rename(target)
 
 
 def _content(folder: Path) -> list[Path]:
@@ -91,16 +92,17 @@ def _locked_folder(target: Path) -> tuple[Path, int | None]:
         partial = target.with_name(f".{target.name}.partial-{secrets.token_hex(4)}")
         try:
             partial.mkdir(parents=True)
-            lock = _lock(partial)
-            # In between another process may have taken it for abandoned.
-            if lock is None or os.path.isdir(partial):
-                return partial, lock
-            os.close(lock)
-        except (BlockingIOError, FileNotFoundError):
-            continue
         except OSError as error:
             words = f"found {error.strerror or error}; expected a place that can be written"
             raise TorchcalError(f"--out {target}: {words}") from error
+        try:
+            lock = _lock(partial)
+        except (BlockingIOError, FileNotFoundError):  # another process took it for abandoned
+            shutil.rmtree(partial, ignore_errors=True)
+            continue
+        if lock is None or partial.is_dir():
+            return partial, lock
+        os.close(lock)
 
 
 def _lock(folder: Path) -> int | None:
@@ -134,16 +136,15 @@ def _is_abandoned(partial: Path) -> bool:
     return lock is not None
 
 
-def _removed(partial: Path) -> bool:
-    """Removes a folder if it is sure that nobody writes into it any more."""
+def _is_held(partial: Path) -> bool:
+    """Whether somebody writes into a folder; removes it if it is sure that nobody does."""
     try:
         lock = _lock(partial)
     except FileNotFoundError:
-        return True
+        return False
     except OSError:
-        return False
-    if lock is None:
-        return False
-    shutil.rmtree(partial, ignore_errors=True)
-    os.close(lock)
-    return True
+        return True
+    if lock is not None:
+        shutil.rmtree(partial, ignore_errors=True)
+        os.close(lock)
+    return False

@@ -44,11 +44,11 @@ def decide(
 
 
 def renew_report(folder: Path, transaction: Transaction) -> None:
-    """Lets the report of a result say what is decided; one that is not there stays away."""
+    """Lets the report of a result say what is decided; one that cannot be read stays as it is."""
     file = folder / REPORT
     try:
         page = file.read_text(encoding="utf-8")
-    except (FileNotFoundError, UnicodeDecodeError):
+    except (OSError, UnicodeDecodeError):  # the decision is in the model and stands without it
         return
     before, begun, rest = page.partition(BEGIN)
     _, ended, after = rest.partition(END)

@@ -203,7 +203,7 @@ def _correction(
 
 
 def centre_pose(mesh: trimesh.Trimesh) -> Float[Tensor, "4 4"]:
-    """``T_object_centre``: the centre of the bounding box with the object's own axes."""
+    """``T_object_centre`` of a mesh: where the sigmas of an object's pose are, too."""
     T = torch.eye(4, dtype=torch.float64)
     T[:3, 3] = torch.from_numpy(mesh.bounds.mean(axis=0))
     return T

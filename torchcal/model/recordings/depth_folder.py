@@ -106,9 +106,11 @@ def _one(source: Path, what: str, files: list[Path], use: tuple[str, ...]) -> Pa
 
 
 def _trajectory(source: Path, use: tuple[str, ...]) -> Trajectory | None:
-    found = {file: each for file in _texts(source) if (each := read_trajectory(file)) is not None}
-    cameras = _cameras(source)
-    for file in _texts(source):
+    cameras, texts = _cameras(source), _texts(source)
+    # Where a person said which file has the poses, the others need not be any.
+    texts = [file for file in texts if file.name in use and file not in cameras] or texts
+    found = {file: each for file in texts if (each := read_trajectory(file)) is not None}
+    for file in texts:
         said = file.stem in _LIKELY_NAMES or file.name in use
         if said and file not in found and file not in cameras:
             expected = "poses: a .log or .json of Open3D, or a .txt of the TUM benchmark"
