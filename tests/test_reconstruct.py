@@ -76,7 +76,7 @@ def test_the_rim_of_a_dome_carries_on_its_slope():
     pixels = mesh.vertices[:, :2] / mesh.vertices[:, 2:] * 549.0 + [99.5, 79.5] - 85.0
     expected = 2.7 + 4e-5 * (pixels**2).sum(1)
     assert len(mesh.vertices) == 60 * 60
-    np.testing.assert_allclose(mesh.vertices[:, 2], expected, atol=3e-4)
+    np.testing.assert_allclose(mesh.vertices[:, 2], expected, atol=5e-4)
 
 
 def test_the_mesh_stands_in_the_world_where_the_sensor_saw_it():
