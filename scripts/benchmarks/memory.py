@@ -83,8 +83,8 @@ class Load:
 LOADS = (
     Load(command="calibrate", frames=1, width=64, height=48),
     Load(command="calibrate", frames=1, width=3840, height=2160),
-    Load(command="calibrate", frames=1000, width=320, height=240),
-    Load(command="follow", frames=1000, width=320, height=240),
+    Load(command="calibrate", frames=1000, width=160, height=120),
+    Load(command="follow", frames=1000, width=160, height=120),
 )
 
 
