@@ -1,8 +1,9 @@
 """How far a calibration is, and how long its stages took."""
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+from torchcal.calibrate.clock import Clock
 
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share of it that is done, 0 to 1."""
@@ -33,21 +34,25 @@ class Stages:
     """
 
     def __init__(self, progress: Progress | None, images: int):
-        self.timing: dict[str, float] = {}
+        self._clock = Clock()
         self._progress = progress
         self._images = images
         self._stage = ""
         self._done = 0
         self._expected = 0.0
 
+    @property
+    def timing(self) -> dict[str, float]:
+        """Seconds of each stage."""
+        return self._clock.seconds
+
     @contextmanager
     def stage(self, name: str, rounds: float = ROUNDS) -> Iterator[None]:
         """A stage for as long as the context lasts, and how often it looks at every image."""
-        start = time.perf_counter()
         self._stage, self._done, self._expected = name, 0, rounds * self._images
         self._tell(0.0)
-        yield
-        self.timing[name] = time.perf_counter() - start
+        with self._clock.measured(name):
+            yield
         self._tell(1.0)
 
     def tick(self) -> None:

@@ -1,6 +1,5 @@
 """Decisions about a result: in its model, and in its report, whose one section they change."""
 
-import secrets
 from collections.abc import Collection
 from functools import partial
 from pathlib import Path
@@ -10,6 +9,7 @@ from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.result import Status
 from torchcal.display.report_rows import AGAINST, FOR, changes
 from torchcal.display.templates import filled
+from torchcal.model.replaced_file import replace_file
 
 REPORT = "report.html"
 BEGIN, END = "<!-- what the model should change -->", "<!-- that was it -->"
@@ -55,7 +55,8 @@ def renew_report(folder: Path, transaction: Transaction) -> None:
     if not begun or not ended:
         return
     status, _ = result_folder.read_status(folder)
-    _replace(file, before + changes_section(transaction, status) + after)
+    renewed = before + changes_section(transaction, status) + after
+    replace_file(file, renewed.encode("utf-8"))
 
 
 def changes_section(transaction: Transaction, status: Status) -> str:
@@ -89,13 +90,3 @@ def tally(transaction: Transaction) -> str:
     if not words:
         return f"{left} proposed, nothing is decided yet"
     return ", ".join([*words, f"{left} not decided" if left else "nothing left to decide"])
-
-
-def _replace(file: Path, text: str) -> None:
-    """Writes a file anew, as a whole or not at all."""
-    new = file.with_name(f".{file.stem}.partial-{secrets.token_hex(4)}{file.suffix}")
-    try:
-        new.write_text(text, encoding="utf-8")
-        new.replace(file)
-    finally:
-        new.unlink(missing_ok=True)

@@ -1,7 +1,6 @@
 """The CAD model of the surroundings: named objects with poses, read from and written to files."""
 
 import json
-import secrets
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +26,7 @@ from torchcal.model.meshes import (
     transformed,
     triangles,
 )
+from torchcal.model.replaced_file import replace_file
 from torchcal.model.tensor_mistakes import check_floats
 
 _ONE_OBJECT_FORMATS = (".stl", ".ply", ".off")
@@ -131,12 +131,7 @@ def write_world(world: World, file: Path, extras: Mapping[str, Any] | None = Non
             transform=item.T_world_object.detach().cpu().double().numpy(),
             metadata=dict(item.extras),
         )
-    partial = file.with_name(f".{file.stem}.partial-{secrets.token_hex(4)}.glb")
-    try:
-        partial.write_bytes(export_glb(scene))
-        partial.replace(file)
-    finally:
-        partial.unlink(missing_ok=True)
+    replace_file(file, export_glb(scene))
 
 
 def read_extras(file: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import trimesh
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.errors import JobError, choices
+from torchcal.errors import JobError
 from torchcal.model.meshes import read_scene
 from torchcal.model.recordings.cloud_images import cloud_images
 from torchcal.model.recordings.layout import Points, sound
@@ -39,9 +39,7 @@ def read_clouds(source: Path, selection: Selection) -> Recorded:
         JobError: If a file cannot be read, holds no points, or is named and not there.
     """
     files = cloud_paths(source)
-    for name in selection.use:
-        if name not in {file.name for file in files}:
-            raise JobError(source, "--use", name, choices(file.name for file in files))
+    selection.refuse_others(source, files)
     files = [file for file in files if file.name in selection.use] or files
     taken = [files[k] for k in evenly(len(files), selection.frames)]
     try:

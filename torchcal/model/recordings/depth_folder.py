@@ -1,7 +1,7 @@
 """A folder of depth images with Open3D's intrinsics and a trajectory."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from torchcal.errors import JobError, choices
+from torchcal.errors import JobError
 from torchcal.geometry.projection import Pinhole
 from torchcal.model.recordings.cameras import centre_note, pinhole_of
 from torchcal.model.recordings.kinds import CAMERA_NOISE, unit_note, unit_of
@@ -46,10 +46,11 @@ def read_depth_folder(source: Path, selection: Selection) -> Recorded:
         JobError: If something is missing, broken, or there several times.
     """
     images = depth_images(source)
-    _check_use(source, selection.use)
-    file = _one(source, "camera intrinsics", list(_cameras(source)), selection.use)
-    projection = _pinhole(file, _cameras(source)[file])
-    trajectory = _trajectory(source, selection.use)
+    selection.refuse_others(source, _texts(source))
+    cameras = _cameras(source)
+    file = _one(source, "camera intrinsics", list(cameras), selection.use)
+    projection = _pinhole(file, cameras[file])
+    trajectory = _trajectory(source, cameras, selection.use)
     poses = _paired(source, images, trajectory) if trajectory else dict.fromkeys(range(len(images)))
     known = list(poses)
     taken = [known[k] for k in evenly(len(known), selection.frames)]
@@ -105,9 +106,10 @@ def _one(source: Path, what: str, files: list[Path], use: tuple[str, ...]) -> Pa
     return (chosen or likely or files)[0]
 
 
-def _trajectory(source: Path, use: tuple[str, ...]) -> Trajectory | None:
-    cameras, texts = _cameras(source), _texts(source)
-    # Where a person said which file has the poses, the others need not be any.
+def _trajectory(source: Path, cameras: Collection[Path], use: tuple[str, ...]) -> Trajectory | None:
+    texts = _texts(source)
+    # Where a person said which file has the poses, the others need not be any. One that has
+    # intrinsics may have poses too.
     texts = [file for file in texts if file.name in use and file not in cameras] or texts
     found = {file: each for file in texts if (each := read_trajectory(file)) is not None}
     for file in texts:
@@ -123,14 +125,6 @@ def _texts(source: Path) -> list[Path]:
     return [
         path for suffix in ("log", "txt", "json") for path in sorted(source.glob(f"*.{suffix}"))
     ]
-
-
-def _check_use(source: Path, use: tuple[str, ...]) -> None:
-    """Every file that a person named must be there."""
-    names = [file.name for file in _texts(source)]
-    for name in use:
-        if name not in names:
-            raise JobError(source, "--use", name, choices(names))
 
 
 def _paired(source: Path, images: list[Path], trajectory: Trajectory) -> dict[int, torch.Tensor]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchcal.errors import JobError, choices
 from torchcal.geometry.projection import Pinhole, Spherical
 
 RangePixels = NDArray[np.uint16] | NDArray[np.float32]
@@ -37,6 +38,17 @@ class Selection:
     """Of the grid onto which unorganised points are projected; None: from their distances."""
     position: tuple[float, float, float] | None = None
     """Where the sensor stood (m), for clouds whose points are in the axes of the world."""
+
+    def refuse_others(self, source: Path, files: Iterable[Path]) -> None:
+        """Raises for a name in ``use`` that none of a folder's files has.
+
+        Raises:
+            JobError: With the names that there are.
+        """
+        names = [file.name for file in files]
+        for name in self.use:
+            if name not in names:
+                raise JobError(source, "--use", name, choices(names))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
