@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from torchcal.calibrate.follow import follow
+from torchcal.calibrate.observation import observe
 from torchcal.calibrate.pipeline import calibrate
 from torchcal.calibrate.result import Calibration, Status
 from torchcal.calibrate.tracked import TrackStatus
@@ -152,15 +153,20 @@ def with_joints(tmp_path_factory) -> Calibration:
     return calibrate(read_job(file), generator=torch.Generator().manual_seed(0))
 
 
-def median_residual(calibration: Calibration) -> float:
-    """Of the measured pixels in which the model is seen (m)."""
-    residuals = [(each.measured - each.predicted)[each.usable] for each in calibration.comparisons]
-    return float(torch.cat(residuals).abs().nanmedian())
+def residuals(calibration: Calibration) -> Tensor:
+    """Measured less predicted (m) where an estimate may look; NaN elsewhere.
+
+    Along depth jumps and the borders of masks it does not, for stereo cameras invent ranges there.
+    """
+    residual = torch.stack([each.measured - each.predicted for each in calibration.comparisons])
+    return torch.where(observe(calibration.job).measured, residual, torch.nan)
 
 
 def test_the_first_joint_and_the_camera_of_an_arm_are_named_as_what_they_are(with_joints):
     words = [direction.words for direction in with_joints.estimate.unobservable]
     assert any("the offset of joint A1" in each and "mount" in each for each in words), words
+    # What the images leave open is one answer with a wide sigma, and not several.
+    assert with_joints.estimate.status is Status.CONVERGED
 
 
 def test_the_other_joints_of_the_arm_are_nearly_right(with_joints):
@@ -174,8 +180,10 @@ def test_the_other_joints_of_the_arm_are_nearly_right(with_joints):
 
 
 def test_joint_offsets_do_not_make_the_arm_fit_worse(with_joints, lbr_med7):
-    # What falls is the robust cost; the median, which nothing minimises, was seen to rise by 0.1 %.
-    assert median_residual(with_joints) < 1.005 * median_residual(lbr_med7)
+    found, without = residuals(with_joints), residuals(lbr_med7)
+    both = found.isfinite() & without.isfinite()
+    assert int(both.sum()) > 90_000
+    assert found[both].abs().median() <= without[both].abs().median()
 
 
 def robot_surface(robot: Robot, joints: Tensor) -> trimesh.Trimesh:

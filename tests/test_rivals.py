@@ -1,5 +1,6 @@
 """Which states explain the images as well as the best one."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -12,7 +13,7 @@ from torchcal.calibrate.observation import observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.range_fit import RangeFit
-from torchcal.calibrate.rivals import explains_as_well
+from torchcal.calibrate.rivals import explains_as_well, is_rival
 from torchcal.geometry import robust
 from torchcal.model.job import Job
 
@@ -28,16 +29,20 @@ def fit_of(job: Job) -> RangeFit:
     )
 
 
-@pytest.fixture
-def small_object() -> RangeFit:
-    """A crate that fills a hundredth of the image stands where the model has it."""
-    crate = scenes.box((0.065, 0.065, 0.065), (0.2, 0.1, 2.0), (0.3, 0.2, 0.1))
-    meshes = {**recordings.room(), "small": crate}
+def with_cube(side: float, rpy: tuple[float, float, float]) -> RangeFit:
+    """A cube whose pose is unknown stands where the model has it."""
+    meshes = {**recordings.room(), "cube": scenes.box((side,) * 3, (0.2, 0.1, 2.0), rpy)}
     job = recordings.hand_held(
         recordings.sensor(beam=3), [EYE], error=torch.zeros(6).double(), real=meshes
     )
     world = recordings.world_of(meshes)
-    return fit_of(replace(job, world=world, base=None, objects={"small": prior(0.1, 0.5)}))
+    return fit_of(replace(job, world=world, base=None, objects={"cube": prior(0.1, 0.5)}))
+
+
+@pytest.fixture
+def small_object() -> RangeFit:
+    """It fills a hundredth of the image."""
+    return with_cube(0.065, (0.3, 0.2, 0.1))
 
 
 def test_a_small_object_elsewhere_is_no_rival(small_object):
@@ -55,6 +60,16 @@ def test_a_state_within_the_noise_is_one(small_object):
     assert explains_as_well(small_object, other, parameters.nominal)
 
 
+def test_a_cube_that_is_turned_by_a_right_angle_is_a_rival():
+    fit = with_cube(0.5, (0.0, 0.0, 0.1))
+    parameters = fit.parameters
+    step = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * math.pi], dtype=torch.float64)
+    turned = parameters.retract(parameters.nominal, step)
+    assert is_rival(fit, turned, parameters.nominal)
+    slightly = parameters.retract(parameters.nominal, 1e-3 * step)
+    assert not is_rival(fit, slightly, parameters.nominal)
+
+
 def test_a_wall_is_the_same_from_beside(rng):
     wall = {"wall": scenes.wall(2.0)}
     job = recordings.hand_held(
@@ -64,5 +79,7 @@ def test_a_wall_is_the_same_from_beside(rng):
     step = torch.tensor([0.5, -0.3, 0.0, 0.0, 0.0, 0.7], dtype=torch.float64)
     other = fit.parameters.retract(fit.parameters.nominal, step)
     assert explains_as_well(fit, other, fit.parameters.nominal)
+    # Nothing that lies between is worse: it is one answer that is open along the wall.
+    assert not is_rival(fit, other, fit.parameters.nominal)
     nearer = fit.parameters.retract(fit.parameters.nominal, 0.1 * torch.eye(6).double()[2])
     assert not explains_as_well(fit, nearer, fit.parameters.nominal)

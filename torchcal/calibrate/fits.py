@@ -21,7 +21,7 @@ from torchcal.calibrate.refine import (
     fine_factor,
     fine_fit,
 )
-from torchcal.calibrate.rivals import explains_as_well
+from torchcal.calibrate.rivals import is_rival
 from torchcal.calibrate.search import are_apart, find_candidates
 from torchcal.calibrate.stages import Tick, quiet
 from torchcal.model.job import Job
@@ -87,7 +87,7 @@ def _best(
         (solution.state[i], float(scores[i]))
         for i in order[1:]
         if are_apart(solution.state[i], solution.state[best], parameters)
-        and explains_as_well(fit, solution.state[i], solution.state[best])
+        and is_rival(fit, solution.state[i], solution.state[best])
     )
     return Choice(state=solution.state[best], score=float(scores[best]), rivals=rivals)
 

@@ -29,6 +29,23 @@ class _Look:
     prior: Float[Tensor, ""]
 
 
+def is_rival(
+    fit: RangeFit, state: Float[Tensor, "slot 4 4"], best: Float[Tensor, "slot 4 4"]
+) -> bool:
+    """Whether a state is another answer: it explains the images as well, and is one of its own.
+
+    Where the state halfway explains them too, both lie in one valley. What the images leave open
+    along it is the covariance's to tell.
+
+    Args:
+        fit: The images.
+        state: Another state.
+        best: The state of the least cost.
+    """
+    halfway = fit.parameters.retract(best, 0.5 * fit.parameters.difference(state, best))
+    return explains_as_well(fit, state, best) and not explains_as_well(fit, halfway, best)
+
+
 def explains_as_well(
     fit: RangeFit, state: Float[Tensor, "slot 4 4"], best: Float[Tensor, "slot 4 4"]
 ) -> bool:
