@@ -24,10 +24,10 @@ def with_absent(
 ) -> dict[str, ObjectVerdict]:
     """The verdicts, and "removed" where the pose that explains the images best sees through.
 
-    Nothing changes where the pose is known well enough for single pixels to tell, and where
-    several poses or none explain the images.
+    Nothing changes without objects, where the pose is known well enough for single pixels to tell,
+    and where several poses or none explain the images.
     """
-    if not _is_wide(looked):
+    if not verdicts or not _is_wide(looked):
         return dict(verdicts)
     settled = _settled_verdicts(looked, generator)
     gone = {name: each for name, each in settled.items() if each.verdict == "removed"}

@@ -47,7 +47,9 @@ def revise(
     true = _in_true_ranges(comparisons, estimate)
     looked = Looked.of(job, scene, parameters, belief, true)
     known = {name: estimate.Ts_world_object[name] for name in estimate.moved}
-    first = with_absent(looked, _verdicts(looked, known), generator)
+    first = _verdicts(looked, known)
+    if not estimate.estimated:
+        first = with_absent(looked, first, generator)
     places = find_moved(looked, generator)
     while True:
         gone = [name for name in _removed(first) if name not in places]
