@@ -25,12 +25,10 @@ from torchcal.model.robot import Robot
 
 JOBS = Path(__file__).resolve().parents[2] / "shared" / "jobs"
 DEGREE = float(np.radians(1.0))
-WITHIN = float(chi2.ppf(0.997, 6))
-"""Square of the Mahalanobis distance that 99.7 % of honest estimates do not exceed."""
 SAMPLES = 300_000
 """On the robot's surface: one for each 2 mm square."""
 BOUND = float(chi2.ppf(0.997, 6))
-"""Of a Mahalanobis distance squared of a pose: the 99.7 % ellipsoid."""
+"""Square of the Mahalanobis distance of a pose that 99.7 % of honest estimates do not exceed."""
 EVERY = 7
 """Of the measured pixels, one in so many is looked at."""
 
@@ -126,8 +124,10 @@ def test_camera_that_watches_the_arm(lbr_med7):
     found = lbr_med7.estimate.Ts_world_sensor[0]
     position, rotation = errors(found, truth_of("lbr_med7", "T_world_sensor_reference"))
     assert lbr_med7.estimate.status is Status.CONVERGED
-    assert position < 0.025
-    assert rotation < DEGREE
+    # A fit that takes pixels for independent ends 16 mm and 10 mrad off; the reference itself is
+    # known to 7 mm and 7 mrad.
+    assert position < 0.012
+    assert rotation < 0.006
 
 
 def test_camera_that_watches_the_arm_is_where_its_ellipsoid_says(lbr_med7):
@@ -169,14 +169,16 @@ def test_the_first_joint_and_the_camera_of_an_arm_are_named_as_what_they_are(wit
     assert with_joints.estimate.status is Status.CONVERGED
 
 
-def test_the_other_joints_of_the_arm_are_nearly_right(with_joints):
+def test_the_other_joints_of_the_arm_are_right(with_joints):
+    """Its URDF is right: offsets are noise, and of three joints the images tell much."""
     estimate = with_joints.estimate
     sigmas = dict(zip(estimate.names, estimate.covariance.diagonal().sqrt().tolist(), strict=True))
     others = {n: abs(offset) for n, offset in estimate.joint_offsets.items() if n != "A1"}
     assert len(others) == 6
-    # A3 was seen at 0.9 to 1.02 degrees with a sigma of a third of one: the arm's URDF is right.
     for name, offset in others.items():
-        assert offset < DEGREE + sigmas[f"joints.{name}"], name
+        assert offset < min(DEGREE, 3.0 * sigmas[f"joints.{name}"]), name
+    for name in ("A2", "A3", "A4"):
+        assert sigmas[f"joints.{name}"] < 0.5 * DEGREE, name
 
 
 def test_joint_offsets_do_not_make_the_arm_fit_worse(with_joints, lbr_med7):
@@ -237,6 +239,6 @@ def test_truth_is_inside_the_ellipsoid_of_every_tracked_frame(name, key, referen
         P = tracked.pose_covariance + own.square().diag()
         assert tracked.status == TrackStatus.TRACKING
         assert not tracked.alarm
-        assert float(xi @ torch.linalg.solve(P, xi)) < WITHIN
+        assert float(xi @ torch.linalg.solve(P, xi)) < BOUND
         if name == "arc_bin":
             assert (tracked.pose_covariance.diagonal()[:3].sqrt() < 0.003).all()
