@@ -20,14 +20,10 @@ from torchcal.calibrate.result import (
     Status,
 )
 from torchcal.calibrate.slots import BASE, MOUNT
-from torchcal.geometry import gaussian
+from torchcal.geometry import gaussian, robust
 from torchcal.model.job import Job
 from torchcal.model.sensor import Drift, Sensor
 
-FARTHEST = 5.0
-"""Prior sigmas: an estimate farther from the nominal state contradicts what the job believes."""
-AGREEING = 3.0
-"""Standard deviations of the declared noise within which a pixel agrees with a pose."""
 CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
 OWN_ERRORS = 0.8
@@ -140,8 +136,7 @@ def _status(
     share = agreement(comparisons, noise)
     if not belief.covariance.isfinite().all() or share < choice.least_agreement:
         return Status.FAILED
-    moved = parameters.difference(belief.state, parameters.nominal) / parameters.prior_sigma
-    if (moved.abs() > FARTHEST).any():
+    if parameters.contradicts_prior(belief.state):
         return Status.FAILED
     poses = torch.cat([jacobians, parameters.object_jacobians])
     if not poses_are_told(belief.covariance, parameters, poses):
@@ -166,7 +161,7 @@ def agreement(
         d = ((c.measured - c.predicted) / sigma)[c.usable]
         d = d[d.isfinite()]
         if d.numel():
-            shares.append(float((d.abs() <= AGREEING).double().mean()))
+            shares.append(float((d.abs() <= robust.AGREEING).double().mean()))
     return min(shares, default=0.0)
 
 

@@ -9,10 +9,9 @@ from torch import Tensor
 from torchcal.calibrate.observation import (
     Observation,
     coarse_factor,
-    coarser,
+    coarse_images,
     cropped,
     observe,
-    sharpened,
 )
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
@@ -54,7 +53,7 @@ def choose_start(
     tick: Tick = quiet,
 ) -> Choice:
     """Hypotheses from the prior, robust fits and a score that needs no truth (3.5)."""
-    coarse = _coarse(job)
+    coarse = coarse_images(job)
     candidates = find_candidates(coarse, scene.surface, parameters, generator)
     return _best(coarse, scene, parameters, candidates, tick)
 
@@ -67,13 +66,8 @@ def choose_found(
     tick: Tick = quiet,
 ) -> Choice:
     """The same among states that were found without a prior: more must agree with one."""
-    choice = _best(_coarse(job), scene, parameters, states, tick)
+    choice = _best(coarse_images(job), scene, parameters, states, tick)
     return replace(choice, least_agreement=EXPLAINED_ANYWHERE)
-
-
-def _coarse(job: Job) -> Observation:
-    observation = cropped(observe(job))
-    return sharpened(coarser(observation, coarse_factor(observation.sensor)))
 
 
 def _best(

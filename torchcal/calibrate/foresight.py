@@ -38,7 +38,7 @@ def foreseen_covariance(
     The noise is the job's; where its slowly varying part is to be found from residuals, there is
     none to foresee, and the figures are the best that can happen.
     """
-    told = parameters.prior_sigma.double().square().reciprocal().diag()
+    told = parameters.prior_precision.diag()
     for information in foreseen(job, scene, parameters, state):
         told = told + information
     return covariance(told)

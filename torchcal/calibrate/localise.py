@@ -13,7 +13,7 @@ from torchcal.calibrate.element_stage import element_fit
 from torchcal.calibrate.localisation import Localisation, Rival, StagePose
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
 from torchcal.calibrate.one_view import OneView, as_states, drawn_about, free_sensor
-from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.parameters import FARTHEST, Parameters
 from torchcal.calibrate.pixel_stage import PixelFit, block_fit, compared, pixel_fit
 from torchcal.calibrate.result import Status
 from torchcal.calibrate.site import Site
@@ -32,8 +32,6 @@ from torchcal.model.sensor import Sensor
 
 EXPLAINED = 0.8
 """Share of the measured pixels that must be where the model says."""
-FARTHEST = 5.0
-"""Prior sigmas: a pose farther from the starting value contradicts it."""
 DECISIVE = 50.0
 """Difference of robust costs, of blocks of pixels, that decides between two poses: a likelihood
 ratio that noise does not reach."""
@@ -242,8 +240,7 @@ def _status(
     if not (fit.settled and fit.covariance.isfinite().all() and fit.agreement >= EXPLAINED):
         return Status.FAILED
     state = as_states(fit.T_world_sensor)
-    moved = parameters.difference(state, parameters.nominal) / parameters.prior_sigma
-    if start is not None and (moved.abs() > FARTHEST).any():
+    if start is not None and parameters.contradicts_prior(state):
         return Status.FAILED
     if not poses_are_told(fit.covariance, parameters, parameters.pose_jacobians(state)):
         return Status.UNOBSERVABLE

@@ -72,7 +72,7 @@ def _looked(fit: RangeFit, state: Tensor) -> _Look:
     )
     rho = robust.biweight_cost((residual / sigma).double(), fit.cutoff)
     parameters = fit.parameters
-    off = parameters.difference(state, parameters.nominal) / parameters.prior_sigma
+    off = parameters.from_nominal(state)
     return _Look(
         residual=residual,
         compared=compared,

@@ -49,7 +49,7 @@ LAST_STEPS = replace(STEPS, iterations=20)
 CLOSE = 1.5
 """Poses whose rays cost more than this many times the least are not followed further."""
 
-UNEXPLAINED = robust.EFFICIENT**2 / 6.0
+UNEXPLAINED = robust.rejected_cost(robust.EFFICIENT)
 """Cost of a pixel that is beyond the cut-off."""
 PROMISING = 0.6
 """Share of what poses cost that explain nothing."""
