@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import recordings
 import torch
 from kinematic_jobs import (

@@ -133,7 +133,7 @@ def _status(
         )
         for c in comparisons
     ]
-    share = agreement(comparisons, noise)
+    share = worst_agreement(comparisons, noise)
     if not belief.covariance.isfinite().all() or share < choice.least_agreement:
         return Status.FAILED
     if parameters.contradicts_prior(belief.state):
@@ -149,10 +149,10 @@ def agreement_with(comparisons: Sequence[FrameComparison], belief: Belief) -> fl
 
     The comparison's own sigma' would not do: it is enlarged until it fits the residuals.
     """
-    return agreement(comparisons, [c.sigma / belief.sigma_scale for c in comparisons])
+    return worst_agreement(comparisons, [c.sigma / belief.sigma_scale for c in comparisons])
 
 
-def agreement(
+def worst_agreement(
     comparisons: Sequence[FrameComparison], sigmas: Sequence[Float[Tensor, "h w"]]
 ) -> float:
     """Share of the compared pixels that agree within so much (m), in the worst frame."""

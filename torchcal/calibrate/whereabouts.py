@@ -133,12 +133,12 @@ def _distinct(states: Tensor, costs: Tensor) -> list[int]:
     """The best that are apart from each other, the best first."""
     kept: list[int] = []
     for k in costs.nan_to_num(torch.inf).argsort().tolist():
-        if len(kept) < KEPT and all(are_apart(states[k, 0], states[i, 0]) for i in kept):
+        if len(kept) < KEPT and all(poses_are_apart(states[k, 0], states[i, 0]) for i in kept):
             kept.append(k)
     return kept
 
 
-def are_apart(T: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> bool:
+def poses_are_apart(T: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> bool:
     """Whether two poses are different ones."""
     xi = se3.log(se3.inverse(T) @ other)
     return float(xi[:3].norm()) > APART or float(xi[3:].norm()) > APART
