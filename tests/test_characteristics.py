@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchcal.calibrate.element_pose import find_element_poses
 from torchcal.geometry import se3
-from torchcal.match.characteristics import JOINED_LENGTH, all_elements, find_candidates
+from torchcal.match.characteristics import JOINED_LENGTH, all_elements, candidate_pairs
 from torchcal.match.elements import Elements, Kind
 from torchcal.match.features import Features, LineKind, Lines, Planes, Vertices
 from torchcal.match.model.features import find_model_features
@@ -80,7 +80,7 @@ IMAGE = measured(MODEL, se3.inverse(T_WORLD_SENSOR))
 
 
 def test_every_element_is_its_own_candidate_and_kinds_do_not_mix():
-    found = find_candidates(MODEL, IMAGE)
+    found = candidate_pairs(MODEL, IMAGE)
     assert found.matrix.diagonal().all()
     kind = all_elements(MODEL).kind
     assert not (found.matrix & (kind[:, None] != kind)).any()
@@ -94,7 +94,7 @@ def is_no_longer(lengths: Tensor) -> Tensor:
 
 
 def test_lengths_of_whole_lines_tell_them_apart():
-    block = lines_of(find_candidates(MODEL, IMAGE).matrix, MODEL, IMAGE)
+    block = lines_of(candidate_pairs(MODEL, IMAGE).matrix, MODEL, IMAGE)
     lengths, kinds = MODEL.lines.length, MODEL.lines.kind
     no_shorter = lengths[:, None] - lengths < 5.0 * LENGTH
     same = kinds[:, None] == kinds
@@ -104,7 +104,7 @@ def test_lengths_of_whole_lines_tell_them_apart():
 
 def test_a_line_that_is_cut_may_be_part_of_any_longer_one():
     cut = replace(IMAGE, lines=replace(IMAGE.lines, is_end=torch.zeros_like(IMAGE.lines.is_end)))
-    block = lines_of(find_candidates(MODEL, cut).matrix, MODEL, cut)
+    block = lines_of(candidate_pairs(MODEL, cut).matrix, MODEL, cut)
     lengths, kinds = MODEL.lines.length, MODEL.lines.kind
     assert torch.equal(block, is_no_longer(lengths) & (kinds[:, None] == kinds))
 
@@ -118,7 +118,7 @@ def test_the_ends_of_a_jump_say_nothing_of_its_length():
     seen = measured(jumps, se3.inverse(T_WORLD_SENSOR))
     middle = seen.lines.ends.mean(1, keepdim=True)
     short = replace(seen.lines, ends=middle + 0.01 * (seen.lines.ends - middle))
-    found = find_candidates(jumps, replace(seen, lines=short)).matrix
+    found = candidate_pairs(jumps, replace(seen, lines=short)).matrix
     assert lines_of(found, jumps, seen).all()
 
 
@@ -129,11 +129,11 @@ def test_a_convex_edge_may_be_seen_as_a_jump_and_a_concave_one_may_not():
         IMAGE,
         lines=replace(IMAGE.lines, kind=kind, dihedral=blind, dihedral_sigma=blind + torch.inf),
     )
-    found = find_candidates(MODEL, seen)
+    found = candidate_pairs(MODEL, seen)
     block = lines_of(found.matrix, MODEL, seen)
     convex = MODEL.lines.kind == LineKind.CONVEX
     assert torch.equal(block.diagonal(), convex)
-    likely = lines_of(find_candidates(MODEL, IMAGE).log_likelihood, MODEL, IMAGE).diagonal()
+    likely = lines_of(candidate_pairs(MODEL, IMAGE).log_likelihood, MODEL, IMAGE).diagonal()
     as_jump = lines_of(found.log_likelihood, MODEL, seen).diagonal()
     assert (likely[convex] > as_jump[convex]).all()
 
@@ -141,9 +141,9 @@ def test_a_convex_edge_may_be_seen_as_a_jump_and_a_concave_one_may_not():
 def test_a_dihedral_angle_beyond_gamma_is_no_candidate():
     for turn, is_candidate in ((4.0 * ANGLE, True), (6.0 * ANGLE, False)):
         image = replace(IMAGE, lines=replace(IMAGE.lines, dihedral=IMAGE.lines.dihedral + turn))
-        block = lines_of(find_candidates(MODEL, image).matrix, MODEL, image)
+        block = lines_of(candidate_pairs(MODEL, image).matrix, MODEL, image)
         assert bool(block.any()) == is_candidate
-    assert not lines_of(find_candidates(MODEL, IMAGE, gamma=1e-9).matrix, MODEL, IMAGE).all()
+    assert not lines_of(candidate_pairs(MODEL, IMAGE, gamma=1e-9).matrix, MODEL, IMAGE).all()
 
 
 def test_the_part_of_a_plane_that_is_seen_is_no_larger_than_the_plane():
@@ -152,7 +152,7 @@ def test_the_part_of_a_plane_that_is_seen_is_no_larger_than_the_plane():
     for share, are_all in ((0.1, True), (1.5, True), (5.0, False)):
         area = share * IMAGE.planes.area
         image = replace(IMAGE, planes=replace(IMAGE.planes, area=area))
-        block = find_candidates(MODEL, image).matrix[:planes, :planes]
+        block = candidate_pairs(MODEL, image).matrix[:planes, :planes]
         assert bool(block.diagonal().any()) == are_all
 
 
@@ -161,8 +161,8 @@ def test_angles_of_vertexes_are_compared():
         IMAGE, vertices=replace(IMAGE.vertices, angles=IMAGE.vertices.angles - 6.0 * ANGLE)
     )
     corners = len(MODEL.vertices.angles)
-    assert find_candidates(MODEL, IMAGE).matrix[-corners:, -corners:].all()
-    assert not find_candidates(MODEL, turned).matrix[-corners:, -corners:].any()
+    assert candidate_pairs(MODEL, IMAGE).matrix[-corners:, -corners:].all()
+    assert not candidate_pairs(MODEL, turned).matrix[-corners:, -corners:].any()
 
 
 def prior_of(twist: tuple[float, ...], position: float, rotation: float) -> Prior:
@@ -171,21 +171,21 @@ def prior_of(twist: tuple[float, ...], position: float, rotation: float) -> Prio
 
 
 def test_an_exact_start_leaves_each_element_alone():
-    found = find_candidates(MODEL, IMAGE, prior=prior_of((0.0,) * 6, 1e-6, 1e-6))
+    found = candidate_pairs(MODEL, IMAGE, prior=prior_of((0.0,) * 6, 1e-6, 1e-6))
     assert torch.equal(found.matrix, torch.eye(len(found.matrix), dtype=torch.bool))
 
 
 def test_a_start_within_its_sigma_keeps_the_right_pairs_and_drops_most_others():
     twist = (0.06, -0.05, 0.06, 0.05, -0.05, 0.05)
-    found = find_candidates(MODEL, IMAGE, prior=prior_of(twist, 0.1, 0.087))
+    found = candidate_pairs(MODEL, IMAGE, prior=prior_of(twist, 0.1, 0.087))
     assert found.matrix.diagonal().all()
-    free = find_candidates(MODEL, IMAGE).matrix
+    free = candidate_pairs(MODEL, IMAGE).matrix
     assert not (found.matrix & ~free).any()
     assert float(found.matrix.sum()) < 0.6 * float(free.sum())
 
 
 def test_a_start_that_is_off_by_many_sigmas_keeps_nothing():
-    found = find_candidates(
+    found = candidate_pairs(
         MODEL, IMAGE, prior=prior_of((0.0, 0.0, 0.0, 0.7, 0.7, 0.7), 0.01, 0.01)
     )
     assert not found.matrix.any()
@@ -196,10 +196,10 @@ def test_residuals_have_the_derivatives_of_the_prior(rng: torch.Generator):
     inside = []
     for _ in range(60):
         twist = torch.randn(6, generator=rng, dtype=torch.float64) * 0.02
-        found = find_candidates(
+        found = candidate_pairs(
             MODEL, IMAGE, prior=prior_of(tuple(twist.tolist()), 0.02, 0.02), gamma=3.0
         )
-        free = find_candidates(MODEL, IMAGE, gamma=3.0)
+        free = candidate_pairs(MODEL, IMAGE, gamma=3.0)
         inside.append((found.matrix & free.matrix).diagonal().double())
     share = torch.stack(inside).mean(0)
     kind = all_elements(MODEL).kind
@@ -210,7 +210,7 @@ def test_residuals_have_the_derivatives_of_the_prior(rng: torch.Generator):
 
 def test_candidates_within_the_prior_lead_to_the_pose():
     prior = prior_of((0.06, -0.05, 0.06, 0.05, -0.05, 0.05), 0.1, 0.087)
-    candidates = find_candidates(MODEL, IMAGE, prior=prior)
+    candidates = candidate_pairs(MODEL, IMAGE, prior=prior)
     found = find_element_poses(
         all_elements(MODEL),
         all_elements(IMAGE),
@@ -260,13 +260,13 @@ def test_nothing_measured_gives_an_empty_matrix():
         ),
     )
     for prior in (None, prior_of((0.0,) * 6, 0.1, 0.1)):
-        assert find_candidates(MODEL, empty, prior=prior).matrix.shape[1] == 0
-        assert find_candidates(empty, IMAGE, prior=prior).matrix.shape[0] == 0
+        assert candidate_pairs(MODEL, empty, prior=prior).matrix.shape[1] == 0
+        assert candidate_pairs(empty, IMAGE, prior=prior).matrix.shape[0] == 0
 
 
 def test_gamma_must_be_positive():
     with pytest.raises(ValueError, match="gamma"):
-        find_candidates(MODEL, IMAGE, gamma=0.0)
+        candidate_pairs(MODEL, IMAGE, gamma=0.0)
 
 
 def test_three_hundred_lines_are_compared_with_sixty_in_milliseconds():
@@ -287,7 +287,7 @@ def test_three_hundred_lines_are_compared_with_sixty_in_milliseconds():
     model = replace(MODEL, lines=lines(MODEL.lines, own))
     image = replace(IMAGE, lines=lines(IMAGE.lines, other))
     prior = prior_of((0.05,) * 6, 0.1, 0.087)
-    find_candidates(model, image, prior=prior)
+    candidate_pairs(model, image, prior=prior)
     began = time.process_time()
-    find_candidates(model, image, prior=prior)
+    candidate_pairs(model, image, prior=prior)
     assert time.process_time() - began < 0.5  # 0.02 s alone; type checks and others' load aside

@@ -8,13 +8,14 @@ import scenes
 import torch
 from recordings import pose, prior
 
+from torchcal.calibrate import foresight
 from torchcal.calibrate.check import foresee
 from torchcal.calibrate.foresight import foreseen_covariance, next_view
 from torchcal.calibrate.observation import observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.range_fit import RangeFit
-from torchcal.model.job import Job
+from torchcal.model.job import Job, PosePrior
 from torchcal.model.range_image import RangeImage
 from torchcal.solve.gauss_newton import covariance
 
@@ -103,6 +104,24 @@ def test_the_next_view_tells_more_than_one_that_was_taken(job, rng):
     gain = 0.5 * (torch.linalg.slogdet(P).logabsdet - torch.linalg.slogdet(repeated).logabsdet)
     assert found is not None
     assert found.gain > float(gain)
+
+
+def test_what_is_known_exactly_is_as_if_it_were_held(job, rng, monkeypatch):
+    monkeypatch.setattr(foresight, "VIEWS", 4)
+    scene = build_job_scene(job)
+    parameters = Parameters.of(job, scene)
+    P = foreseen_covariance(job, scene, parameters, parameters.nominal)
+    P[0], P[:, 0] = 0.0, 0.0
+    before = rng.get_state()
+    found = next_view(job, scene, parameters.nominal, P, rng)
+    sigma = torch.tensor([0.0, *[0.05] * 5], dtype=torch.float64)
+    held = replace(job, base=PosePrior(sigma=sigma))
+    expected = next_view(held, scene, parameters.nominal, P[1:, 1:], rng.set_state(before))
+    assert found is not None
+    assert expected is not None
+    assert found.joints == expected.joints
+    assert found.gain == pytest.approx(expected.gain, rel=1e-9)
+    assert found.sigma == pytest.approx({"base.x": 0.0, **expected.sigma}, rel=1e-9, abs=1e-15)
 
 
 def test_nobody_can_move_a_sensor_without_joints(rng):

@@ -12,7 +12,7 @@ from torchcal.calibrate.nearest_fit import NearestFit
 from torchcal.calibrate.observation import Observation, observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
-from torchcal.calibrate.search import APART, are_apart, distinct, find_candidates
+from torchcal.calibrate.search import APART, best_apart, candidate_states, states_are_apart
 from torchcal.geometry import se3
 from torchcal.model.job import Job
 from torchcal.model.scene import Surface
@@ -62,7 +62,7 @@ def test_the_search_from_far_off_ends_near_the_truth(rng):
     truths = (EYE, pose(0.15, -0.1, 0.1, 0.05, -0.2, 0.1))
     job = room_job(FAR_OFF, truths)
     observation, surface, parameters = setting(job)
-    best = find_candidates(observation, surface, parameters, rng)[0]
+    best = candidate_states(observation, surface, parameters, rng)[0]
     for found, truth in zip(parameters.sensor_poses(best), truths, strict=True):
         position, rotation = error_of(found, truth)
         assert position < 0.03
@@ -144,7 +144,7 @@ def test_states_are_apart_beyond_a_tenth_of_a_prior_sigma(share, expected):
     step = torch.zeros(6, dtype=torch.float64)
     step[4] = share * APART * parameters.prior_sigma[4]
     other = parameters.retract(parameters.nominal, step)
-    assert are_apart(other, parameters.nominal, parameters) is expected
+    assert states_are_apart(other, parameters.nominal, parameters) is expected
 
 
 def test_distinct_states_are_the_best_that_are_apart():
@@ -153,6 +153,6 @@ def test_distinct_states_are_the_best_that_are_apart():
     steps[:, 0] = torch.tensor([0.0, 0.001, 0.2, 0.4], dtype=torch.float64)
     states = parameters.retract(parameters.nominal.expand(4, 2, 4, 4), steps)
     costs = torch.tensor([3.0, 2.0, torch.nan, 1.0], dtype=torch.float64)
-    kept = torch.stack(distinct(states, costs, parameters))
+    kept = torch.stack(best_apart(states, costs, parameters))
     # The first lies beside the second, which is better; what has no cost comes last.
     torch.testing.assert_close(kept, states[[3, 1, 2]], rtol=0, atol=0)

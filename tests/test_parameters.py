@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import recordings
 import torch
 from kinematic_jobs import (
@@ -97,6 +98,25 @@ def test_names_and_sigmas_leave_out_held_axes(robot_job):
     assert parameters.names == (*base, "mount.x", "mount.z", "mount.rz")
     expected = [recordings.POSITION_SIGMA] * 3 + [recordings.ROTATION_SIGMA] * 3 + [0.1, 0.3, 0.6]
     assert parameters.prior_sigma.tolist() == expected
+
+
+def test_distance_from_the_nominal_state_counts_in_prior_sigmas(robot_job):
+    parameters = parameters_of(robot_job)
+    share = torch.linspace(-0.9, 0.9, 12, dtype=torch.float64)
+    state = parameters.retract(parameters.nominal, share * parameters.prior_sigma)
+    # Sigmas of a degree: rounding of 1e-16 in a rotation matrix is 1e-14 of them.
+    torch.testing.assert_close(parameters.from_nominal(state), share, atol=1e-11, rtol=0)
+    product = parameters.prior_precision * parameters.prior_sigma.square()
+    torch.testing.assert_close(product, torch.ones_like(product), atol=1e-14, rtol=0)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.99, False), (-1.01, True)])
+def test_one_parameter_beyond_five_sigmas_contradicts_the_prior(robot_job, share, expected):
+    parameters = parameters_of(robot_job)
+    step = torch.zeros(12, dtype=torch.float64)
+    step[7] = share * 5.0 * parameters.prior_sigma[7]
+    state = parameters.retract(parameters.nominal, step)
+    assert parameters.contradicts_prior(state) is expected
 
 
 def test_held_axes_do_not_move(robot_job):

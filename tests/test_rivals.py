@@ -13,7 +13,7 @@ from torchcal.calibrate.observation import observe
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.range_fit import RangeFit
-from torchcal.calibrate.rivals import explains_as_well, is_rival
+from torchcal.calibrate.rivals import Look, explains_as_well, is_rival
 from torchcal.geometry import robust
 from torchcal.model.job import Job
 
@@ -49,7 +49,8 @@ def test_a_small_object_elsewhere_is_no_rival(small_object):
     """The other pixels, a hundred times as many, have no say."""
     parameters = small_object.parameters
     step = torch.tensor([0.03, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    best, other = parameters.nominal, parameters.retract(parameters.nominal, step)
+    other = parameters.retract(parameters.nominal, step)
+    best = Look.of(small_object, parameters.nominal)
     assert not explains_as_well(small_object, other, best)
 
 
@@ -57,7 +58,7 @@ def test_a_state_within_the_noise_is_one(small_object):
     parameters = small_object.parameters
     step = torch.tensor([1e-4, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     other = parameters.retract(parameters.nominal, step)
-    assert explains_as_well(small_object, other, parameters.nominal)
+    assert explains_as_well(small_object, other, Look.of(small_object, parameters.nominal))
 
 
 def test_a_cube_that_is_turned_by_a_right_angle_is_a_rival():
@@ -65,9 +66,10 @@ def test_a_cube_that_is_turned_by_a_right_angle_is_a_rival():
     parameters = fit.parameters
     step = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * math.pi], dtype=torch.float64)
     turned = parameters.retract(parameters.nominal, step)
-    assert is_rival(fit, turned, parameters.nominal)
+    best = Look.of(fit, parameters.nominal)
+    assert is_rival(fit, turned, best)
     slightly = parameters.retract(parameters.nominal, 1e-3 * step)
-    assert not is_rival(fit, slightly, parameters.nominal)
+    assert not is_rival(fit, slightly, best)
 
 
 def test_a_wall_is_the_same_from_beside(rng):
@@ -78,8 +80,9 @@ def test_a_wall_is_the_same_from_beside(rng):
     fit = fit_of(replace(job, world=recordings.world_of(wall), base=prior(1.0, 1.0)))
     step = torch.tensor([0.5, -0.3, 0.0, 0.0, 0.0, 0.7], dtype=torch.float64)
     other = fit.parameters.retract(fit.parameters.nominal, step)
-    assert explains_as_well(fit, other, fit.parameters.nominal)
+    best = Look.of(fit, fit.parameters.nominal)
+    assert explains_as_well(fit, other, best)
     # Nothing that lies between is worse: it is one answer that is open along the wall.
-    assert not is_rival(fit, other, fit.parameters.nominal)
+    assert not is_rival(fit, other, best)
     nearer = fit.parameters.retract(fit.parameters.nominal, 0.1 * torch.eye(6).double()[2])
-    assert not explains_as_well(fit, nearer, fit.parameters.nominal)
+    assert not explains_as_well(fit, nearer, best)

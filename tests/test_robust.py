@@ -53,15 +53,27 @@ def test_every_residual_may_have_a_cutoff_of_its_own():
 
 def test_cutoff_is_three_medians():
     v = torch.tensor([-9.0, 1.0, 2.0, -3.0, 8.0], dtype=torch.float64)
-    assert robust.cutoff(v) == 9.0
-    assert robust.cutoff(v, zeta=2.0) == 6.0
+    assert float(robust.cutoff(v)) == 9.0
+    assert float(robust.cutoff(v, zeta=2.0)) == 6.0
 
 
 def test_cutoff_is_not_below_the_least():
     v = torch.tensor([0.1, 0.2], dtype=torch.float64)
-    assert robust.cutoff(v) == robust.EFFICIENT
-    assert robust.cutoff(v, least=0.0) == pytest.approx(0.3)
-    assert robust.cutoff(v[:0]) == robust.EFFICIENT
+    assert float(robust.cutoff(v)) == robust.EFFICIENT
+    assert float(robust.cutoff(v, least=0.0)) == pytest.approx(0.3)
+    assert float(robust.cutoff(v[:0])) == robust.EFFICIENT
+
+
+def test_every_member_of_a_batch_has_the_cutoff_of_what_is_not_missing():
+    v = torch.tensor([[-9.0, 1.0, 2.0], [4.0, torch.nan, torch.nan], [torch.nan] * 3])
+    assert robust.cutoff(v, least=1.0).tolist() == [6.0, 12.0, 1.0]
+    assert robust.cutoff(v[:, :0], least=1.0).tolist() == [1.0] * 3
+
+
+def test_what_is_rejected_costs_a_sixth_of_the_squared_cutoff():
+    assert robust.rejected_cost(3.0) == 1.5
+    beyond = robust.biweight_cost(torch.tensor([3.0, -7.0], dtype=torch.float64), 3.0)
+    assert beyond.tolist() == [1.5, 1.5]
 
 
 def test_efficient_cutoff_keeps_95_percent_of_the_efficiency():

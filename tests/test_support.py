@@ -20,7 +20,7 @@ from torchcal.match.minimal_sets import Hypotheses
 from torchcal.match.support import (
     are_best,
     are_new,
-    distinct,
+    count_distinct,
     explained,
     fingerprints,
     standard_errors,
@@ -133,12 +133,12 @@ def test_dtype_follows_the_elements_and_nothing_gives_nothing(rng):
 
 def test_distinct_counts_the_elements_of_the_side_that_has_fewer(rng):
     pairs = torch.rand(4, 50, 5, 7, generator=rng) < 0.15
-    found = distinct(pairs)
+    found = count_distinct(pairs)
     for row, count in zip(pairs.flatten(0, 1).tolist(), found.flatten().tolist(), strict=True):
         own = {i for i, line in enumerate(row) for pair in line if pair}
         others = {j for line in row for j, pair in enumerate(line) if pair}
         assert count == min(len(own), len(others))
-    assert distinct(torch.zeros(3, 0, 7, dtype=torch.bool)).tolist() == [0, 0, 0]
+    assert count_distinct(torch.zeros(3, 0, 7, dtype=torch.bool)).tolist() == [0, 0, 0]
 
 
 def prints(batch: torch.Tensor, pairs: torch.Tensor) -> torch.Tensor:

@@ -191,7 +191,7 @@ def start_cutoff(
     everything = torch.full_like(starts.T[:, 0, 0], torch.inf)
     _, equations = _detected(problem, starts, everything, detect)
     v, _ = equations.linearise(starts.T, torch.arange(len(starts.T), device=starts.T.device))
-    return _median_cutoff(v, equations.present).clamp(min=robust.EFFICIENT)
+    return robust.cutoff(_all_residuals(v, equations.present))
 
 
 def _detected(
@@ -224,13 +224,10 @@ def _smaller_cutoff(equations: RobustCorrespondences, solution: Solution, least:
     """Eq. 16 at the solution: not above the last c, so that it shrinks with the fit."""
     everyone = torch.arange(len(solution.state), device=solution.state.device)
     v, _ = equations.linearise(solution.state, everyone)
-    c = _median_cutoff(v, equations.present).clamp(min=least)
+    c = robust.cutoff(_all_residuals(v, equations.present), least=least)
     return torch.minimum(c, equations.cutoff)
 
 
-def _median_cutoff(v: Tensor, present: Tensor) -> Tensor:
-    """Eq. 16: zeta median |v|; 0 where there is no correspondence."""
-    sizes = torch.where(present, v.abs(), torch.nan).flatten(1)
-    if sizes.shape[1] == 0:
-        return sizes.new_zeros(len(sizes))
-    return (robust.ZETA * sizes.nanmedian(1).values).nan_to_num(0.0)
+def _all_residuals(v: Tensor, present: Tensor) -> Float[Tensor, "hypothesis residual"]:
+    """Of every hypothesis; NaN where there is no correspondence."""
+    return torch.where(present, v, torch.nan).flatten(1)

@@ -22,7 +22,7 @@ from torchcal.match.detection import Detect, every_candidate, nearest_candidate
 from torchcal.match.elements import Elements
 from torchcal.match.minimal_sets import Hypotheses, minimal_hypotheses
 from torchcal.match.random_starts import random_starts
-from torchcal.match.support import are_best, are_new, distinct, explained, fingerprints
+from torchcal.match.support import are_best, are_new, count_distinct, explained, fingerprints
 
 GATE = robust.ZETA * robust.EFFICIENT
 """Standard deviations within which a hypothesis explains an element: zeta steers the search, since
@@ -174,11 +174,11 @@ def _attempt(
     cutoff = torch.full_like(starts.T[:, 0, 0], GATE)
     fit = procedure_3_5(problem, starts, cutoff, detect=detect, steps=COARSE)
     near = _near(problem, fit.poses)
-    supported = distinct(near & problem.candidates[starts.batch])
+    supported = count_distinct(near & problem.candidates[starts.batch])
     members = len(problem.candidates)
     best = are_best(starts.batch, supported, members)
     best = best & are_new(starts.batch, _fingerprints(problem, fit.poses, near))
-    promising = are_best(starts.batch, distinct(near), members)
+    promising = are_best(starts.batch, count_distinct(near), members)
     return fit.poses[best], _detected_again(problem, fit.rows(promising), search)
 
 
@@ -186,8 +186,8 @@ def _worth_fitting(problem: ElementProblem, starts: Hypotheses) -> Tensor:
     """One hypothesis for each pose that explains the most, with the candidates or with all."""
     near = _near(problem, starts)
     members = len(problem.candidates)
-    supported = distinct(near & problem.candidates[starts.batch])
-    score = distinct(near) * (problem.model.count + 1) + supported
+    supported = count_distinct(near & problem.candidates[starts.batch])
+    score = count_distinct(near) * (problem.model.count + 1) + supported
     best = are_best(starts.batch, supported, members) | are_best(starts.batch, score, members)
     rows = best.nonzero()[:, 0]
     return rows[are_new(starts.batch[rows], _fingerprints(problem, starts[rows], near[rows]))]
@@ -207,7 +207,7 @@ def _supported(problem: ElementProblem, batch: Tensor, partner: Tensor, kept: Te
     pairs = torch.zeros_like(problem.candidates[batch]).scatter(
         2, partner[..., None], kept[..., None]
     )
-    return distinct(pairs & problem.candidates[batch])
+    return count_distinct(pairs & problem.candidates[batch])
 
 
 def _detected_again(

@@ -15,7 +15,7 @@ from torchcal.calibrate.element_fit import (
 from torchcal.calibrate.localisation import Matches, StagePose
 from torchcal.calibrate.site import Site
 from torchcal.geometry import robust, se3
-from torchcal.match.characteristics import all_elements, find_candidates, within
+from torchcal.match.characteristics import all_elements, candidate_pairs, within
 from torchcal.match.detection import every_candidate
 from torchcal.match.elements import Elements
 from torchcal.match.features import Features, LineKind
@@ -47,14 +47,14 @@ is 1.0 standard deviations where noise would give 0.67."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ElementFit:
+class MatchedPose:
     """The pose from elements, if there is one, and what was matched."""
 
     pose: StagePose | None
     matches: Matches
 
 
-def element_fit(site: Site, sensor: Sensor, measured: Features, start: Prior) -> ElementFit:
+def fit_elements(site: Site, sensor: Sensor, measured: Features, start: Prior) -> MatchedPose:
     """Matches what is expected from a starting value with what was measured, and fits the pose.
 
     Args:
@@ -100,10 +100,10 @@ def _moved(before: StagePose, after: StagePose) -> float:
     return float(xi @ torch.linalg.solve(after.covariance, xi)) ** 0.5
 
 
-def _matched(site: Site, sensor: Sensor, measured: Features, start: Prior) -> ElementFit:
+def _matched(site: Site, sensor: Sensor, measured: Features, start: Prior) -> MatchedPose:
     """Elements are matched about a starting value, and the pose is fitted to the matches."""
     model = _expected(site, sensor, start.T_world_sensor)
-    candidates = find_candidates(model, measured)
+    candidates = candidate_pairs(model, measured)
     near = within(candidates, model, measured, start).matrix
     joint = joint_hypotheses(
         Expectation.of(model, measured),
@@ -116,9 +116,9 @@ def _matched(site: Site, sensor: Sensor, measured: Features, start: Prior) -> El
     other = (partner >= 0).nonzero()[:, 0]
     pairs = torch.stack([partner[other], other], 1)
     if len(pairs) == 0:
-        return ElementFit(pose=None, matches=_matches(model, measured, near, pairs, other > 0))
+        return MatchedPose(pose=None, matches=_matches(model, measured, near, pairs, other > 0))
     rests_on, T_sensor_world = _fitted(model, measured, pairs, joint.T_sensor_world[:1])
-    return ElementFit(
+    return MatchedPose(
         pose=_pose(T_sensor_world, rests_on, joint.spread()),
         matches=_matches(model, measured, near, pairs, rests_on.explained[0]),
     )

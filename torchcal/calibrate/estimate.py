@@ -20,14 +20,10 @@ from torchcal.calibrate.result import (
     Status,
 )
 from torchcal.calibrate.slots import BASE, MOUNT
-from torchcal.geometry import gaussian
+from torchcal.geometry import gaussian, robust
 from torchcal.model.job import Job
 from torchcal.model.sensor import Drift, Sensor
 
-FARTHEST = 5.0
-"""Prior sigmas: an estimate farther from the nominal state contradicts what the job believes."""
-AGREEING = 3.0
-"""Standard deviations of the declared noise within which a pixel agrees with a pose."""
 CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
 OWN_ERRORS = 0.8
@@ -137,11 +133,10 @@ def _status(
         )
         for c in comparisons
     ]
-    share = agreement(comparisons, noise)
+    share = worst_agreement(comparisons, noise)
     if not belief.covariance.isfinite().all() or share < choice.least_agreement:
         return Status.FAILED
-    moved = parameters.difference(belief.state, parameters.nominal) / parameters.prior_sigma
-    if (moved.abs() > FARTHEST).any():
+    if parameters.contradicts_prior(belief.state):
         return Status.FAILED
     poses = torch.cat([jacobians, parameters.object_jacobians])
     if not poses_are_told(belief.covariance, parameters, poses):
@@ -154,10 +149,10 @@ def agreement_with(comparisons: Sequence[FrameComparison], belief: Belief) -> fl
 
     The comparison's own sigma' would not do: it is enlarged until it fits the residuals.
     """
-    return agreement(comparisons, [c.sigma / belief.sigma_scale for c in comparisons])
+    return worst_agreement(comparisons, [c.sigma / belief.sigma_scale for c in comparisons])
 
 
-def agreement(
+def worst_agreement(
     comparisons: Sequence[FrameComparison], sigmas: Sequence[Float[Tensor, "h w"]]
 ) -> float:
     """Share of the compared pixels that agree within so much (m), in the worst frame."""
@@ -166,7 +161,7 @@ def agreement(
         d = ((c.measured - c.predicted) / sigma)[c.usable]
         d = d[d.isfinite()]
         if d.numel():
-            shares.append(float((d.abs() <= AGREEING).double().mean()))
+            shares.append(float((d.abs() <= robust.AGREEING).double().mean()))
     return min(shares, default=0.0)
 
 

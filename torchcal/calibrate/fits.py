@@ -9,10 +9,9 @@ from torch import Tensor
 from torchcal.calibrate.observation import (
     Observation,
     coarse_factor,
-    coarser,
+    coarse_images,
     cropped,
     observe,
-    sharpened,
 )
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import (
@@ -21,8 +20,8 @@ from torchcal.calibrate.refine import (
     fine_factor,
     fine_fit,
 )
-from torchcal.calibrate.rivals import is_rival
-from torchcal.calibrate.search import are_apart, find_candidates
+from torchcal.calibrate.rivals import Look, is_rival
+from torchcal.calibrate.search import candidate_states, states_are_apart
 from torchcal.calibrate.stages import Tick, quiet
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
@@ -54,8 +53,8 @@ def choose_start(
     tick: Tick = quiet,
 ) -> Choice:
     """Hypotheses from the prior, robust fits and a score that needs no truth (3.5)."""
-    coarse = _coarse(job)
-    candidates = find_candidates(coarse, scene.surface, parameters, generator)
+    coarse = coarse_images(job)
+    candidates = candidate_states(coarse, scene.surface, parameters, generator)
     return _best(coarse, scene, parameters, candidates, tick)
 
 
@@ -67,13 +66,8 @@ def choose_found(
     tick: Tick = quiet,
 ) -> Choice:
     """The same among states that were found without a prior: more must agree with one."""
-    choice = _best(_coarse(job), scene, parameters, states, tick)
+    choice = _best(coarse_images(job), scene, parameters, states, tick)
     return replace(choice, least_agreement=EXPLAINED_ANYWHERE)
-
-
-def _coarse(job: Job) -> Observation:
-    observation = cropped(observe(job))
-    return sharpened(coarser(observation, coarse_factor(observation.sensor)))
 
 
 def _best(
@@ -82,14 +76,16 @@ def _best(
     fit, solution = coarse_fit(coarse, scene.surface, parameters, candidates, tick)
     scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
     order = scores.argsort().tolist()
-    best = order[0]
+    best = solution.state[order[0]]
+    apart = [i for i in order[1:] if states_are_apart(solution.state[i], best, parameters)]
+    # Most often there is nothing else to look at.
+    look = Look.of(fit, best) if apart else None
     rivals = tuple(
         (solution.state[i], float(scores[i]))
-        for i in order[1:]
-        if are_apart(solution.state[i], solution.state[best], parameters)
-        and is_rival(fit, solution.state[i], solution.state[best])
+        for i in apart
+        if look is not None and is_rival(fit, solution.state[i], look)
     )
-    return Choice(state=solution.state[best], score=float(scores[best]), rivals=rivals)
+    return Choice(state=best, score=float(scores[order[0]]), rivals=rivals)
 
 
 def fit_pixels(

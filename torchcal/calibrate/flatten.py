@@ -4,10 +4,10 @@ A plane is m . p = 1. With p = z ray the residual m . p - 1 is the error of the 
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from torchcal.calibrate.regions import EVERY_NEIGHBOUR
+from torchcal.calibrate.regions import EVERY_NEIGHBOUR, numbered
 
 LEAST_SHARE = 0.05
 """Of a region's pixels: a smaller side is not worth a plane."""
@@ -101,7 +101,6 @@ def _off(
 
 def _largest_part(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The largest connected part of a mask."""
-    labels: Int[np.ndarray, "h w"] = np.zeros(mask.shape, np.int64)
-    ndimage.label(mask, structure=EVERY_NEIGHBOUR, output=labels)
+    labels = numbered(mask)
     sizes = np.bincount(labels[mask].ravel())
     return labels == sizes.argmax() if len(sizes) else mask

@@ -38,7 +38,7 @@ def foreseen_covariance(
     The noise is the job's; where its slowly varying part is to be found from residuals, there is
     none to foresee, and the figures are the best that can happen.
     """
-    told = parameters.prior_sigma.double().square().reciprocal().diag()
+    told = parameters.prior_precision.diag()
     for information in foreseen(job, scene, parameters, state):
         told = told + information
     return covariance(told)
@@ -111,11 +111,12 @@ def next_view(
     ahead = replace(job, frames=frames)
     parameters = Parameters.of(ahead, scene)
     informations = list(foreseen(ahead, scene, parameters, state))
-    gains = torch.stack([_gain(P, information) for information in informations])
+    root = _root(P)
+    gains = torch.stack([_gain(root, information) for information in informations])
     best = int(gains.argmax())
     if not gains[best] > LEAST_GAIN:
         return None
-    after = torch.linalg.inv(torch.linalg.inv(P) + informations[best])
+    after = root @ torch.linalg.solve(_told(root, informations[best]), root.mT)
     return NextView(
         joints=dict(zip(job.robot.joint_names, values[best].tolist(), strict=True)),
         gain=float(gains[best]),
@@ -164,10 +165,20 @@ def _configurations(limits: Tensor, generator: torch.Generator) -> Float[Tensor,
     return low + (high - low) * share.to(low)
 
 
-def _gain(P: Tensor, information: Tensor) -> Tensor:
-    """Nats; of a square root of P, so that what is known exactly does no harm."""
+def _root(P: Tensor) -> Float[Tensor, "parameter direction"]:
+    """A square root of P, which there is even where something is known exactly."""
     scale = P.diagonal().clamp(min=0.0).sqrt()
-    value, vector = torch.linalg.eigh(P / scale[:, None] / scale)
-    root = scale[:, None] * vector * value.clamp(min=0.0).sqrt()
-    eye = torch.eye(len(P), dtype=P.dtype, device=P.device)
-    return 0.5 * torch.linalg.slogdet(eye + root.mT @ information @ root).logabsdet
+    unit = torch.where(scale > 0.0, scale, 1.0)
+    value, vector = torch.linalg.eigh(P / unit[:, None] / unit)
+    return scale[:, None] * vector * value.clamp(min=0.0).sqrt()
+
+
+def _told(root: Tensor, information: Tensor) -> Float[Tensor, "direction direction"]:
+    """Information after an image over that before it, along the columns of P's root."""
+    eye = torch.eye(len(root), dtype=root.dtype, device=root.device)
+    return eye + root.mT @ information @ root
+
+
+def _gain(root: Tensor, information: Tensor) -> Tensor:
+    """Nats."""
+    return 0.5 * torch.linalg.slogdet(_told(root, information)).logabsdet

@@ -16,7 +16,7 @@ from torchcal.calibrate.observation import (
     sharpened,
 )
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.pixel_stage import AGREEING, block_side, expected_sigma
+from torchcal.calibrate.pixel_stage import block_side, expected_sigma
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit, embedded
 from torchcal.calibrate.refine import Refined, with_noise
 from torchcal.calibrate.reliability import reliable_share
@@ -137,7 +137,7 @@ class FrameFit:
             share: Of the information that can be relied on.
         """
         parameters = self.fit.parameters
-        wide = torch.diag(parameters.prior_sigma.double().square().reciprocal())
+        wide = torch.diag(parameters.prior_precision)
         told, frame = self._look(state, share)
         for _ in range(LOOKS - 1):
             offset = parameters.difference(state, parameters.nominal)
@@ -206,7 +206,7 @@ class FrameFit:
 
     def _agreement(self, frame: FrameResidual) -> float:
         observation = self.fit.observation
-        agrees = frame.residual.abs() <= AGREEING * expected_sigma(observation)[0]
+        agrees = frame.residual.abs() <= robust.AGREEING * expected_sigma(observation)[0]
         return int((agrees & frame.compared).sum()) / max(1, int(observation.measured.sum()))
 
 
@@ -221,7 +221,8 @@ class _Rays:
     def cutoff(self, state: Float[Tensor, "slot 4 4"]) -> float:
         """Eq. 16, not below the efficient cut-off."""
         frame = self._residual(state)
-        return robust.cutoff((frame.residual / frame.sigma)[frame.compared])
+        v = (frame.residual / frame.sigma)[frame.compared]
+        return float(robust.cutoff(v.double()))
 
     def fitted(
         self, state: Float[Tensor, "slot 4 4"], cutoff: float, config: GaussNewtonConfig

@@ -9,20 +9,20 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.clock import Clock
-from torchcal.calibrate.element_stage import element_fit
+from torchcal.calibrate.element_stage import fit_elements
 from torchcal.calibrate.localisation import Localisation, Rival, StagePose
 from torchcal.calibrate.observability import poses_are_told, unobservable_directions
 from torchcal.calibrate.one_view import OneView, as_states, drawn_about, free_sensor
-from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.parameters import FARTHEST, Parameters
 from torchcal.calibrate.pixel_stage import PixelFit, block_fit, compared, pixel_fit
 from torchcal.calibrate.result import Status
 from torchcal.calibrate.site import Site
 from torchcal.calibrate.whereabouts import (
     DRAWS,
     Whereabouts,
-    are_apart,
     judged,
     poses_anywhere,
+    poses_are_apart,
 )
 from torchcal.geometry import se3
 from torchcal.match.features import Planes
@@ -32,8 +32,6 @@ from torchcal.model.sensor import Sensor
 
 EXPLAINED = 0.8
 """Share of the measured pixels that must be where the model says."""
-FARTHEST = 5.0
-"""Prior sigmas: a pose farther from the starting value contradicts it."""
 DECISIVE = 50.0
 """Difference of robust costs, of blocks of pixels, that decides between two poses: a likelihood
 ratio that noise does not reach."""
@@ -80,7 +78,7 @@ def localise(
     if attempt is None:
         return _nothing(clock)
     with clock.measured("pose from elements"):
-        elements = element_fit(site, sensor, measured, _about(attempt.found))
+        elements = fit_elements(site, sensor, measured, _about(attempt.found))
     found = _concluded(site, view, start, attempt, clock)
     return replace(found, elements=elements.pose, matches=elements.matches)
 
@@ -207,7 +205,7 @@ def _rivals(
     allowed = cost[0] + max(DECISIVE, RIVAL * float(cost[0]))
     known, rivals = [state[0]], []
     for T, other in zip(state[1:], cost[1:], strict=True):
-        if other <= allowed and all(are_apart(T, each) for each in known):
+        if other <= allowed and all(poses_are_apart(T, each) for each in known):
             known.append(T)
             rivals.append(Rival(T_world_sensor=T, score=float(other / cost[0] * found.cost[0])))
     return tuple(rivals)
@@ -242,8 +240,7 @@ def _status(
     if not (fit.settled and fit.covariance.isfinite().all() and fit.agreement >= EXPLAINED):
         return Status.FAILED
     state = as_states(fit.T_world_sensor)
-    moved = parameters.difference(state, parameters.nominal) / parameters.prior_sigma
-    if start is not None and (moved.abs() > FARTHEST).any():
+    if start is not None and parameters.contradicts_prior(state):
         return Status.FAILED
     if not poses_are_told(fit.covariance, parameters, parameters.pose_jacobians(state)):
         return Status.UNOBSERVABLE

@@ -281,12 +281,4 @@ def _around(observation: Observation, looked: Looked, foreign: Tensor, index: in
     height, width = near.shape[1:]
     top, bottom = max(int(rows[0]) - beam, 0), min(int(rows[-1]) + 1 + beam, height)
     left, right = max(int(columns[0]) - beam, 0), min(int(columns[-1]) + 1 + beam, width)
-    sensor = observation.sensor
-    projection = sensor.projection.cropped(left, top, right - left, bottom - top)
-    part = (slice(None), slice(top, bottom), slice(left, right))
-    return Observation(
-        sensor=replace(sensor, projection=projection),
-        range=observation.range[part],
-        measured=(observation.measured & near)[part],
-        sigma=observation.sigma[part],
-    )
+    return observation.without(~near).part(slice(top, bottom), slice(left, right))

@@ -70,13 +70,13 @@ class NearestFit:
         """Normal equations of every state, with correspondences found anew (3.5 (1) to (4))."""
         error, jacobian = self._correspondences(states)
         v = torch.where(self.valid, error / self.sigma, torch.nan).flatten(1)
-        c = (robust.ZETA * v.abs().nanmedian(1).values).clamp(min=robust.EFFICIENT)[:, None]
+        c = robust.cutoff(v)[:, None]
         seen = v.isfinite()
         v = torch.where(seen, v, 0.0)
         weight = torch.where(seen, robust.biweight(v, c), 0.0) / self.sigma.flatten().square()
         H = jacobian.flatten(1, 2)
         HW = H * weight[..., None]
-        prior = self.parameters.prior_sigma.double().square().reciprocal()
+        prior = self.parameters.prior_precision
         offset = self.parameters.difference(states, self.parameters.nominal)
         # Across cut-offs only the scale of the residuals can be compared: c^2 per point.
         cost = torch.where(seen, robust.biweight_cost(v, c), 0.0).sum(1)

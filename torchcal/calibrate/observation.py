@@ -43,6 +43,18 @@ class Observation:
         """The same without some pixels."""
         return replace(self, measured=self.measured & ~excluded)
 
+    def part(self, rows: slice, columns: slice) -> "Observation":
+        """A rectangle of the same images, as a sensor of that size sees it."""
+        width, height = columns.stop - columns.start, rows.stop - rows.start
+        projection = self.sensor.projection.cropped(columns.start, rows.start, width, height)
+        own = (slice(None), rows, columns)
+        return Observation(
+            sensor=replace(self.sensor, projection=projection),
+            range=self.range[own],
+            measured=self.measured[own],
+            sigma=self.sigma[own],
+        )
+
 
 def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
     """The job's images at full resolution, without the pixels at depth jumps of sharp sensors."""
@@ -76,6 +88,12 @@ def observed(
     )
 
 
+def coarse_images(job: Job) -> Observation:
+    """What a start is sought on: the measured part of a job's images, coarse and sharpened."""
+    observation = cropped(observe(job))
+    return sharpened(coarser(observation, coarse_factor(observation.sensor)))
+
+
 def cropped(observation: Observation) -> Observation:
     """The part of the images that was measured in some frame.
 
@@ -86,15 +104,8 @@ def cropped(observation: Observation) -> Observation:
     rows, columns = (observation.measured.any(0).any(axis).nonzero()[:, 0] for axis in (1, 0))
     if min(rows[-1] - rows[0], columns[-1] - columns[0]) < SMALLEST:
         return observation
-    top, bottom = int(rows[0]), int(rows[-1]) + 1
-    left, right = int(columns[0]), int(columns[-1]) + 1
-    projection = observation.sensor.projection.cropped(left, top, right - left, bottom - top)
-    part = (slice(None), slice(top, bottom), slice(left, right))
-    return Observation(
-        sensor=replace(observation.sensor, projection=projection),
-        range=observation.range[part],
-        measured=observation.measured[part],
-        sigma=observation.sigma[part],
+    return observation.part(
+        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     )
 
 
@@ -131,8 +142,13 @@ def coarse_factor(sensor: Sensor) -> int:
 
 def coarser_sensor(sensor: Sensor, factor: int) -> Sensor:
     """The sensor whose pixels cover ``factor`` x ``factor`` of these; its beam is about as wide."""
-    beam = max(1, 2 * round((sensor.beam / factor - 1) / 2) + 1) if sensor.beam else 0
+    beam = coarser_beam(sensor.beam, factor) if sensor.beam else 0
     return replace(sensor, projection=sensor.projection.resized(factor), beam=beam)
+
+
+def coarser_beam(beam: int, factor: int) -> int:
+    """The odd number of blocks of ``factor`` pixels that is nearest to a beam (pixels)."""
+    return max(1, 2 * round((beam / factor - 1) / 2) + 1)
 
 
 def sharpened(observation: Observation) -> Observation:

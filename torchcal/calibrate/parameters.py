@@ -19,6 +19,8 @@ from torchcal.geometry import se3
 from torchcal.model.job import Frame, Job, PosePrior
 from torchcal.model.scene import Scene
 
+FARTHEST = 5.0
+"""Prior sigmas: a state farther from the nominal one contradicts what was believed of it."""
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 Unit = Literal["m", "rad", "1"]
@@ -59,6 +61,11 @@ class Parameters:
             object_names=tuple(job.objects),
         )
 
+    @property
+    def prior_precision(self) -> Float[Tensor, " parameter"]:
+        """1 / sigma^2 of the prior: what it adds to the diagonal of the normal equations."""
+        return self.prior_sigma.double().square().reciprocal()
+
     def retract(
         self, state: Float[Tensor, "*batch slot 4 4"], step: Float[Tensor, "*batch parameter"]
     ) -> Float[Tensor, "*batch slot 4 4"]:
@@ -72,6 +79,16 @@ class Parameters:
         """The parameters that lead from one state to another."""
         twists = se3.log(se3.inverse(origin) @ state).flatten(-2)
         return twists @ self.columns
+
+    def from_nominal(
+        self, state: Float[Tensor, "*batch slot 4 4"]
+    ) -> Float[Tensor, "*batch parameter"]:
+        """How far a state is from the nominal one, in prior sigmas."""
+        return self.difference(state, self.nominal) / self.prior_sigma
+
+    def contradicts_prior(self, state: Float[Tensor, "slot 4 4"]) -> bool:
+        """Whether some parameter is more than ``FARTHEST`` prior sigmas from the nominal one."""
+        return bool((self.from_nominal(state).abs() > FARTHEST).any())
 
     def with_base(
         self, Ts_world_base: Float[Tensor, "*batch 4 4"]

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.observation import Observation, coarser
+from torchcal.calibrate.observation import Observation, coarser, coarser_beam
 from torchcal.calibrate.one_view import OneView, as_states
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import FrameResidual, RangeFit
@@ -33,8 +33,6 @@ UNKNOWN = replace(PIXELS, longest=1.5, trusted=1.0)
 """Where nobody knows the noise: the derivatives may be noisy, too."""
 RIVALS = replace(BLOCKS, iterations=6, trusted=5.0)
 """For costs: what such a step takes off is less than noise may."""
-AGREEING = 3.0
-"""Standard deviations within which a block of pixels agrees with the prediction."""
 SLOW = 0.5
 """Sigmas of a pixel: what all pixels of a block may be off by together where nobody knows."""
 
@@ -99,8 +97,7 @@ def block_side(beam: int, longest: int) -> int:
     """
 
     def misfit(side: int) -> int:
-        blocks = max(1, 2 * round((beam / side - 1) / 2) + 1)
-        return abs((blocks * side) ** 2 - beam**2 - side**2 + 1)
+        return abs((coarser_beam(beam, side) * side) ** 2 - beam**2 - side**2 + 1)
 
     return min(range(longest, min(longest, 2) - 1, -1), key=misfit)
 
@@ -137,7 +134,9 @@ def _agreement(frame: FrameResidual, pixels: Observation, blocks: Observation) -
     residual = replace(pixels, range=frame.residual[None], measured=frame.compared[None])
     means = coarser(residual, side)
     agree = (
-        (means.range.abs() <= AGREEING * expected_sigma(blocks)) & means.measured & blocks.measured
+        (means.range.abs() <= robust.AGREEING * expected_sigma(blocks))
+        & means.measured
+        & blocks.measured
     )
     return int(agree.sum()) / max(1, int(blocks.measured.sum()))
 
@@ -160,7 +159,7 @@ def _covariance(fit: RangeFit, solution: Solution) -> Tensor:
     known = fit.observation.sensor.noise.drift
     if known is not None and known.sigma == 0.0:
         c = torch.tensor(fit.cutoff, dtype=torch.float64)
-        prior = torch.diag(fit.parameters.prior_sigma.double().square().reciprocal())
+        prior = torch.diag(fit.parameters.prior_precision)
         told = solution.equations.information[0] - prior
         return covariance(prior + told / robust.weighted_variance(c))
     refined = Refined(state=solution.state[0], fit=fit, factor=1, solution=solution)

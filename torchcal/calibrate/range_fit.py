@@ -11,6 +11,7 @@ from torchcal.calibrate.observation import Observation
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.prediction import Prediction, predictions
 from torchcal.calibrate.stages import Tick, quiet
+from torchcal.geometry import robust
 from torchcal.model.scene import Surface
 from torchcal.model.sensor import Drift, Sensor
 from torchcal.solve.field import SmoothField
@@ -92,7 +93,7 @@ class RangeFit:
         modelled = finite & (prediction.synthesis.coverage > FILLED)
         compared = observation.measured[k] & modelled & within_limits(prediction.range, sensor)
         # A pixel that the model leaves empty explains no more than one beyond the cut-off.
-        empty = self.cutoff**2 / 6.0
+        empty = robust.rejected_cost(self.cutoff)
         cost = empty + (UNDECIDED - empty) * modelled.double()
         return FrameResidual(
             residual=torch.where(compared, observation.range[k] - prediction.range, 0.0),
@@ -134,7 +135,7 @@ class RangeFit:
 
     def _prior(self, state: Tensor) -> NormalEquations:
         """The prior P of eq. 3 as one more measurement."""
-        precision = self.parameters.prior_sigma.double().square().reciprocal()
+        precision = self.parameters.prior_precision
         error = self.parameters.difference(state, self.parameters.nominal).double()
         return NormalEquations(
             cost=0.5 * (precision * error.square()).sum()[None],

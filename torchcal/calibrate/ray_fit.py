@@ -42,7 +42,7 @@ class RayFit:
         A = (synthesis.jacobian / sigma[..., None]).flatten(1, 2)
         w = robust.biweight(v.nan_to_num(torch.inf), robust.EFFICIENT).flatten(1)
         WA = A * w[..., None]
-        precision = self.parameters.prior_sigma.double().square().reciprocal()
+        precision = self.parameters.prior_precision
         offset = self.parameters.difference(states, self.parameters.nominal).double()
         error = v.nan_to_num(0.0).flatten(1)[..., None]
         return NormalEquations(

@@ -7,17 +7,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchcal.calibrate.observation import coarse_factor, coarser, cropped, observe, sharpened
+from torchcal.calibrate.observation import coarse_images
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.range_fit import RangeFit
 from torchcal.calibrate.refine import coarse_fit
+from torchcal.geometry import robust
 from torchcal.geometry.projection import Pinhole, pixel_grid
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Sensor
 
-AGREEING = 3.0
-"""Standard deviations of a pixel's declared noise within which a block of pixels agrees."""
 EXPLAINED = 0.85
 """Share of the measured blocks from which on nothing else is tried."""
 FAR_BETTER = 0.5
@@ -72,8 +71,7 @@ def misreadings(
 
 def _explained(job: Job, scene: Scene, parameters: Parameters, state: Tensor) -> float:
     """Share of the measured blocks of pixels that a first fit brings to where the model is."""
-    observation = cropped(observe(job))
-    coarse = sharpened(coarser(observation, coarse_factor(observation.sensor)))
+    coarse = coarse_images(job)
     if not coarse.measured.any():
         return 0.0
     fit, solution = coarse_fit(coarse, scene.surface, parameters, state[None])
@@ -85,7 +83,7 @@ def _agreeing(fit: RangeFit, state: Tensor) -> float:
     agreeing = 0
     for frame, ranges in zip(fit.residuals(state), observation.range, strict=True):
         sigma = observation.sensor.noise.sigma(ranges)
-        agreeing += int(((frame.residual.abs() <= AGREEING * sigma) & frame.compared).sum())
+        agreeing += int(((frame.residual.abs() <= robust.AGREEING * sigma) & frame.compared).sum())
     return agreeing / int(observation.measured.sum())
 
 

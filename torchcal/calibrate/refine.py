@@ -87,7 +87,7 @@ def coarse_fit(
 def fit_cutoff(fit: RangeFit, state: Float[Tensor, "slot 4 4"]) -> float:
     """Eq. 16 over all frames, not below the efficient cut-off."""
     v = [(f.residual / f.sigma)[f.compared] for f in fit.residuals(state)]
-    return robust.cutoff(torch.cat(v))
+    return float(robust.cutoff(torch.cat(v).double()))
 
 
 def fine_fit(

@@ -205,4 +205,4 @@ def _independent(
 
 
 def _prior(refined: Refined) -> Float[Tensor, "parameter parameter"]:
-    return torch.diag(refined.fit.parameters.prior_sigma.double().square().reciprocal())
+    return torch.diag(refined.fit.parameters.prior_precision)

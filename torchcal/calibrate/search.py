@@ -26,7 +26,7 @@ FAR = 0.05
 """m and rad: a difference that is never small, however wide the prior is."""
 
 
-def find_candidates(
+def candidate_states(
     observation: Observation,
     surface: Surface,
     parameters: Parameters,
@@ -43,25 +43,25 @@ def find_candidates(
         return minimise(shared(fit.evaluate), parameters.retract, starts, config)
 
     first = aligned(parameters.nominal, _starts(parameters, generator))
-    starts = distinct(first.state, first.equations.cost, parameters)
+    starts = best_apart(first.state, first.equations.cost, parameters)
     again = [aligned(state, state[None]) for state in starts]
     states = torch.cat([solution.state for solution in again])
     costs = torch.cat([solution.equations.cost for solution in again])
-    return torch.stack(distinct(states, costs, parameters))
+    return torch.stack(best_apart(states, costs, parameters))
 
 
-def distinct(
+def best_apart(
     states: Float[Tensor, "state slot 4 4"], costs: Float[Tensor, " state"], parameters: Parameters
 ) -> list[Tensor]:
     """The best ``KEPT`` states that are apart from each other, the best first."""
     kept: list[Tensor] = []
     for state in states[costs.nan_to_num(torch.inf).argsort()]:
-        if len(kept) < KEPT and all(are_apart(state, other, parameters) for other in kept):
+        if len(kept) < KEPT and all(states_are_apart(state, other, parameters) for other in kept):
             kept.append(state)
     return kept
 
 
-def are_apart(
+def states_are_apart(
     state: Float[Tensor, "slot 4 4"], other: Float[Tensor, "slot 4 4"], parameters: Parameters
 ) -> bool:
     """Whether states differ by more than ``APART`` prior sigmas or ``FAR`` in some parameter."""

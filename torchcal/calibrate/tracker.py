@@ -14,7 +14,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import check_searchable, locate, without_prior
-from torchcal.calibrate.estimate import FARTHEST
 from torchcal.calibrate.fits import EXPLAINED, EXPLAINED_ANYWHERE, choose_found, choose_start
 from torchcal.calibrate.frame_fit import FrameFit, Told, Trust
 from torchcal.calibrate.innovation import Innovation, innovation
@@ -189,8 +188,7 @@ class Tracker:
 
     def _is_far(self, state: Tensor) -> bool:
         """Whether a state is farther from the expected one than a bump explains."""
-        step = self.parameters.difference(state, self.state) / self._wide().prior_sigma
-        return bool((step.abs() > FARTHEST).any())
+        return self._wide().contradicts_prior(state)
 
     def _explained(self, alone: Job, fit: FrameFit) -> tuple[Told, Trust]:
         """What the frame tells at the state that explains it best, and how far to believe it."""

@@ -49,7 +49,7 @@ LAST_STEPS = replace(STEPS, iterations=20)
 CLOSE = 1.5
 """Poses whose rays cost more than this many times the least are not followed further."""
 
-UNEXPLAINED = robust.EFFICIENT**2 / 6.0
+UNEXPLAINED = robust.rejected_cost(robust.EFFICIENT)
 """Cost of a pixel that is beyond the cut-off."""
 PROMISING = 0.6
 """Share of what poses cost that explain nothing."""
@@ -133,12 +133,12 @@ def _distinct(states: Tensor, costs: Tensor) -> list[int]:
     """The best that are apart from each other, the best first."""
     kept: list[int] = []
     for k in costs.nan_to_num(torch.inf).argsort().tolist():
-        if len(kept) < KEPT and all(are_apart(states[k, 0], states[i, 0]) for i in kept):
+        if len(kept) < KEPT and all(poses_are_apart(states[k, 0], states[i, 0]) for i in kept):
             kept.append(k)
     return kept
 
 
-def are_apart(T: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> bool:
+def poses_are_apart(T: Float[Tensor, "4 4"], other: Float[Tensor, "4 4"]) -> bool:
     """Whether two poses are different ones."""
     xi = se3.log(se3.inverse(T) @ other)
     return float(xi[:3].norm()) > APART or float(xi[3:].norm()) > APART

@@ -1,6 +1,7 @@
 """Tukey's biweight (eq. 14 to 16)."""
 
 import math
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float
@@ -10,10 +11,13 @@ EFFICIENT = 4.685
 """Cut-off in standard deviations that keeps 95 % of the efficiency under Gaussian noise."""
 ZETA = 3.0
 """The factor of eq. 16."""
+AGREEING = 3.0
+"""Standard deviations within which a measurement agrees with what is expected of it."""
 GAUSSIAN_MEDIAN = 0.6744897501960817
 """Median of |v| under Gaussian noise, in standard deviations."""
 INLIER = 2.5
 """Standard deviations within which residuals tell about the noise: one in eighty is beyond."""
+Cutoff = TypeVar("Cutoff", float, Tensor, float | Tensor)
 ROUNDS = 50
 """Most repetitions of ``inlier_scale``."""
 SETTLED = 1e-6
@@ -39,20 +43,28 @@ def biweight_cost(v: Float[Tensor, "*batch"], c: float | Tensor) -> Float[Tensor
     """
     u = (v / c).square().clamp(max=1.0)
     # 1 - (1 - u)^3 multiplied out: small residuals would be lost in the subtraction.
-    return (c**2 / 6.0) * u * (3.0 - 3.0 * u + u.square())
+    return rejected_cost(c) * u * (3.0 - 3.0 * u + u.square())
 
 
-def cutoff(v: Float[Tensor, " residual"], *, zeta: float = ZETA, least: float = EFFICIENT) -> float:
+def rejected_cost(c: Cutoff) -> Cutoff:
+    """The cost c^2/6 of every residual beyond the cut-off ``c`` (in standard deviations)."""
+    return c**2 / 6.0
+
+
+def cutoff(
+    v: Float[Tensor, "*batch residual"], *, zeta: float = ZETA, least: float = EFFICIENT
+) -> Float[Tensor, "*batch"]:
     """The cut-off c = zeta median |v| (eq. 16), but not below ``least``.
 
     Args:
-        v: Residuals in standard deviations (eq. 15); ``least`` is returned where there are none.
+        v: Residuals in standard deviations (eq. 15), NaN for those that are missing; ``least`` is
+            returned where there are none.
         zeta: The factor of eq. 16.
         least: The median of a good fit's residuals would cut off good ones.
     """
-    if v.numel() == 0:
-        return least
-    return max(zeta * float(v.abs().median()), least)
+    if v.shape[-1] == 0:
+        return v.new_full(v.shape[:-1], least)
+    return (zeta * v.abs().nanmedian(-1).values).nan_to_num(least).clamp(min=least)
 
 
 def variance_inflation(c: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:

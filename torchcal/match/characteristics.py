@@ -44,7 +44,7 @@ def all_elements(features: Features) -> Elements:
     )
 
 
-def find_candidates(
+def candidate_pairs(
     model: Features, measured: Features, *, prior: Prior | None = None, gamma: float = GAMMA
 ) -> Candidates:
     """Compares characteristic values: C_ij = 1 where |u_mi - u_rj| < gamma (eq. 6).

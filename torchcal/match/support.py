@@ -84,7 +84,7 @@ def _differences(
     return torch.where(same, distance, torch.inf), chord
 
 
-def distinct(pairs: Bool[Tensor, "*batch model measured"]) -> Int[Tensor, "*batch"]:
+def count_distinct(pairs: Bool[Tensor, "*batch model measured"]) -> Int[Tensor, "*batch"]:
     """The number of pairs when no element counts twice, at most: the fewer of both sides."""
     return torch.minimum(pairs.any(-1).sum(-1), pairs.any(-2).sum(-1))
 

@@ -56,7 +56,7 @@ def _weights(v: Tensor, present: Tensor, c: Tensor) -> Tensor:
 
 
 def _costs(v: Tensor, present: Tensor, c: Tensor) -> Tensor:
-    rho = torch.where(_kept(v, c), robust.biweight_cost(v, c), c.square() / 6.0)
+    rho = torch.where(_kept(v, c), robust.biweight_cost(v, c), robust.rejected_cost(c))
     return torch.where(present, rho, 0.0).flatten(1).sum(1)
 
 
