@@ -27,6 +27,8 @@ def test_there_are_scripts():
 INSIDE = {
     ("operator_experiment.py", "torchcal.calibrate.update"),
     ("make_robots.py", "torchcal.model.meshes"),
+    ("make_view_picture.py", "torchcal.display.view.app"),
+    ("make_view_picture.py", "torchcal.display.view.source"),
     ("fleet.py", "torchcal.fleet.processes"),
 }
 """What is measured or used there is a part that has no public name: see ARCHITECTURE.md."""

@@ -21,12 +21,8 @@ from torchcal.calibrate import calibrate as calibrate
 from torchcal.calibrate import check as check
 from torchcal.calibrate import predict as predict
 from torchcal.calibrate.check import foresee as foresee
-from torchcal.calibrate.check_result import (
-    Foresight as Foresight,
-)
-from torchcal.calibrate.check_result import (
-    JobCheck as JobCheck,
-)
+from torchcal.calibrate.check_result import Foresight as Foresight
+from torchcal.calibrate.check_result import JobCheck as JobCheck
 from torchcal.calibrate.compare import reclassified as reclassified
 from torchcal.calibrate.decisions import Decision as Decision
 from torchcal.calibrate.decisions import Transaction as Transaction
