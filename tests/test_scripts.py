@@ -36,7 +36,7 @@ INSIDE = {
 
 def test_scripts_use_what_is_public():
     used = {
-        (script.name, node.module)
+        (script.name, node.module or "")
         for script in SCRIPTS[0].parent.rglob("*.py")
         for node in ast.walk(ast.parse(script.read_text()))
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("torchcal.")
