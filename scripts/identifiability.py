@@ -5,16 +5,15 @@ figures hold for the declared noise and a model that is right; where the job lea
 varying part of the noise to be found, there is none here, and they are the best that can happen.
 """
 
+import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 import tyro
 
 import torchcal
-from torchcal.cli.result_files import as_json, without_nan
-from torchcal.display.summary import next_view_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,28 +36,16 @@ def main() -> None:
     except torchcal.TorchcalError as error:
         sys.exit(str(error))
     if options.json:
-        print(as_json(without_nan(as_data(found))))
+        print(json.dumps(torchcal.foresight_dict(found), indent=2))
         return
     print(f"{'unknown':<28} {'before':>12} {'after':>12}")
     for each in found.parameters:
-        scale, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "1": (1e3, "per mille")}[each.unit]
-        before, after = scale * each.prior_sigma, scale * each.expected_sigma
-        print(f"{each.name:<28} {before:>12.4g} {after:>12.4g} {unit}")
+        before, after = each.prior_sigma, each.expected_sigma
+        print(f"{each.name:<28} {before:>12.4g} {after:>12.4g} {each.unit}")
     for direction in found.unobservable:
         print(direction.words)
     if found.next_view is not None:
-        print(f"one more image would tell most from: {next_view_words(found.next_view)}")
-
-
-def as_data(found: torchcal.Foresight) -> dict:
-    """For other programs."""
-    return {
-        "parameters": [asdict(each) for each in found.parameters],
-        "unobservable": [
-            {"words": each.words, "vector": each.vector.tolist()} for each in found.unobservable
-        ],
-        "next_view": None if found.next_view is None else asdict(found.next_view),
-    }
+        print(f"one more image would tell most from: {torchcal.next_view_words(found.next_view)}")
 
 
 if __name__ == "__main__":

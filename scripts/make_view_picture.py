@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 from PIL import Image
 
-from torchcal.errors import TorchcalError
+import torchcal
 
 FLAGS = (
     "--no-sandbox",
@@ -46,7 +46,9 @@ def screenshot(address: str, args: Args) -> Image.Image:
 
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     if program is None:
-        raise TorchcalError("found no program chromium; expected one to take the picture with")
+        raise torchcal.TorchcalError(
+            "found no program chromium; expected one to take the picture with"
+        )
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
         page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})

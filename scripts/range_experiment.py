@@ -18,11 +18,10 @@ import tyro
 from torch import Tensor
 
 import torchcal
+from torchcal import edges_figure, se3
 from torchcal.demo import range_trials
 from torchcal.demo.machine_hall import machine_hall
 from torchcal.demo.match_score import Truth, right_matches
-from torchcal.display.edges import edges_figure
-from torchcal.geometry import se3
 
 FOUND = 0.1
 """m and rad within which a pose counts as found."""

@@ -20,10 +20,9 @@ from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 import torchcal
+from torchcal import se3
 from torchcal.demo import raycast
 from torchcal.demo.machine_hall import machine_hall, random_view
-from torchcal.geometry import se3
-from torchcal.model.read_sensor import preset_sensor
 
 VIEW = math.radians(50.0)
 JUMP = 0.03
@@ -138,7 +137,7 @@ def sensor_of(optics: Optics, size: int) -> torchcal.Sensor:
             width=size, height=size, fx=focal, fy=focal, cx=middle, cy=middle
         )
     elif optics != "spherical":
-        sensor = preset_sensor(optics)
+        sensor = torchcal.preset_sensor(optics)
         return replace(sensor, noise=noise, near=0.0, far=100.0)
     return torchcal.Sensor(projection=projection, noise=noise, near=0.0, far=100.0, beam=beam)
 

@@ -18,9 +18,8 @@ from scipy.stats import chi2
 from torch import Tensor
 
 import torchcal
+from torchcal import se3
 from torchcal.demo import tracking_trials
-from torchcal.geometry import se3
-from torchcal.model.job import PosePrior
 
 WITHIN = float(chi2.ppf(0.997, 6))
 """Square of the Mahalanobis distance that 99.7 % of honest estimates do not exceed."""
@@ -48,10 +47,10 @@ class Options:
     """Where the results are written, beside the standard output."""
 
 
-def pose_prior(position: float, degrees: float) -> PosePrior:
+def pose_prior(position: float, degrees: float) -> torchcal.PosePrior:
     """The same sigma (m, degrees) on all axes."""
     sigmas = [position] * 3 + [math.radians(degrees)] * 3
-    return PosePrior(sigma=torch.tensor(sigmas, dtype=torch.float64))
+    return torchcal.PosePrior(sigma=torch.tensor(sigmas, dtype=torch.float64))
 
 
 def recording_of(options: Options) -> tuple[torchcal.Tracker, Any]:

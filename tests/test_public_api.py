@@ -1,7 +1,10 @@
 """What ``import torchcal`` gives, and that the README's example does what it says."""
 
+import inspect
 import re
 import tomllib
+import typing
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +13,22 @@ import torch
 from small_demo import write_small_demo
 
 import torchcal
+from torchcal.cli.options import COMMANDS
 from torchcal.model.job_mistakes import checked
 
 README = Path(__file__).resolve().parents[1] / "README.md"
+MADE_BY_CALLS = {
+    "Foresight": "foresee",
+    "JobCheck": "check",
+    "Parameters": "Parameters.of",
+    "Recording": "read_recording",
+    "Robot": "load_robot",
+    "Scene": "build_scene",
+    "Site": "Site.of",
+    "Tracker": "Tracker.of",
+}
+"""Classes that nobody makes of their fields."""
+WORDS = {"as", "for", "many", "jobs", "of", "a", "job", "then"}
 CLOSE = 0.001  # m, rad; five of the standard deviations that so few pixels leave
 
 
@@ -31,9 +47,49 @@ def test_a_public_name_says_what_it_is(name: str):
 
 
 def test_the_commands_calls_are_public():
-    calls = {"read_job", "calibrate", "check", "predict", "make_demo", "write_results"}
-    calls |= {"import_recording"}
+    told = re.findall(r"^    torchcal (\w+) +(.*)$", torchcal.__doc__ or "", re.MULTILINE)
+    assert [command for command, _ in told] == list(COMMANDS)
+    calls = {word for _, words in told for word in re.findall(r"\w+", words)} - WORDS
+    assert len(calls) > 8
     assert calls <= set(public_names())
+
+
+def parts(annotation: object) -> Iterator[type]:
+    """The classes of torchcal in an annotation."""
+    if isinstance(annotation, type) and annotation.__module__.startswith("torchcal."):
+        yield annotation
+    for each in typing.get_args(annotation):
+        yield from parts(each)
+
+
+def calls_of(name: str) -> Iterator[Callable]:
+    """What a caller may call of a public name: itself, the constructor, the public methods."""
+    found = getattr(torchcal, name)
+    if not isinstance(found, type):
+        yield from [found] if callable(found) else []
+        return
+    yield from [] if name in MADE_BY_CALLS else [found.__init__]
+    members = inspect.getmembers(found, inspect.isroutine)
+    yield from (member for key, member in members if not key.startswith("_"))
+
+
+@pytest.mark.parametrize("name", public_names())
+def test_a_caller_can_make_everything_that_a_public_call_takes(name: str):
+    hidden = set()
+    for call in calls_of(name):
+        if (getattr(call, "__module__", None) or "").startswith("torchcal"):
+            taken = {k: v for k, v in typing.get_type_hints(call).items() if k != "return"}
+            hidden |= {each.__name__ for kind in taken.values() for each in parts(kind)}
+    assert hidden <= set(public_names())
+
+
+@pytest.mark.parametrize("name", sorted(MADE_BY_CALLS))
+def test_what_is_made_by_a_call_is(name: str):
+    call: object = torchcal
+    for part in MADE_BY_CALLS[name].split("."):
+        call = getattr(call, part)
+    made = typing.get_type_hints(call)["return"]
+    assert made in (name, getattr(torchcal, name))
 
 
 def test_a_name_that_torchcal_does_not_have_is_an_attribute_error():

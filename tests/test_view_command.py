@@ -1,7 +1,9 @@
 """``torchcal view``: what a person asked to see, and what is missing for it."""
 
 import importlib.util
+import json
 import shutil
+import socket
 from pathlib import Path
 
 import pytest
@@ -80,6 +82,28 @@ def test_a_missing_viser_is_one_line_that_says_what_to_install(folder, monkeypat
     printed = capsys.readouterr()
     assert "pip install 'torchcal[view]'" in printed.err
     assert printed.out == ""
+
+
+def test_a_taken_port_that_was_asked_for_is_one_line_before_anything_is_read(tmp_path, capsys):
+    pytest.importorskip("viser", reason="needs viser, the extra view")
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        assert main(["view", str(tmp_path / "none.toml"), "--port", str(port)]) == 2
+    assert f"--host 127.0.0.1 --port {port}: found" in capsys.readouterr().err
+
+
+def test_a_taken_port_that_nobody_asked_for_makes_way_for_the_next_free_one(
+    folder, monkeypatch, capsys
+):
+    app = pytest.importorskip("torchcal.display.view.app")
+    monkeypatch.setattr(app.View, "watch", lambda window: None)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        monkeypatch.setattr(view, "PORT", port)
+        assert main(["view", str(folder), "--json"]) == 0
+    address = json.loads(capsys.readouterr().out)["address"]
+    assert address.startswith("http://127.0.0.1:")
+    assert int(address.rpartition(":")[2]) > port
 
 
 def test_it_listens_on_this_machine_alone_unless_told_otherwise():

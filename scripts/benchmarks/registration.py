@@ -9,9 +9,8 @@ import torch
 import trimesh
 from torch import Tensor
 
+from torchcal import Sensor, pixel_grid
 from torchcal.demo import raycast
-from torchcal.geometry.projection import pixel_grid
-from torchcal.model.sensor import Sensor
 
 Localise: TypeAlias = Callable[[Tensor, Tensor | None], Tensor]
 """T_world_sensor from a range image and a starting value, if there is one."""

@@ -14,12 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import torchcal
+from torchcal import Noise, Pinhole, Scene, Sensor, World, WorldObject, build_scene, pixel_grid, se3
 from torchcal.demo.machine_hall import looking, machine_hall
-from torchcal.geometry import se3
-from torchcal.geometry.projection import Pinhole, pixel_grid
-from torchcal.model.scene import Scene, build_scene
-from torchcal.model.sensor import Noise, Sensor
-from torchcal.model.world import World, WorldObject
 
 from .table import NOTHING, REPORT, interleaved, write_section
 

@@ -11,7 +11,7 @@ from filelock import FileLock, Timeout
 from rich.console import Console
 
 from torchcal.cli.batch_job import run_job
-from torchcal.cli.commands import NOT_USABLE, USABLE, device, line
+from torchcal.cli.commands import INTERRUPTED, NOT_USABLE, UNREADABLE, USABLE, device, line
 from torchcal.cli.options import Batch
 from torchcal.cli.output import input_files
 from torchcal.cli.progress import progress
@@ -26,8 +26,6 @@ from torchcal.fleet.schedule import Here, Place, run_all
 from torchcal.fleet.table import Row
 from torchcal.fleet.task import End, Ended, Record, Task
 
-UNREADABLE = 2
-INTERRUPTED = 130
 LOCK = ".torchcal-batch.lock"
 MOST_LINES = 20
 """Of jobs without a usable answer, on the terminal."""

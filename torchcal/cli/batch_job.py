@@ -6,13 +6,11 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
-import torch
-
 from torchcal.calibrate import calibrate
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.result import Calibration, PixelClass, Status
-from torchcal.cli.commands import device
+from torchcal.cli.commands import device, generator
 from torchcal.cli.options import Options
 from torchcal.cli.output import input_files, replaced_folder
 from torchcal.cli.result_files import write_results
@@ -35,9 +33,9 @@ def run_job(task: Task) -> Record:
         clear_leftovers([task.folder])
         if (record := finished(task)) is not None:  # killed before it could say so
             return record
-    job = read_job(task.job, device=device(Options(device=task.device)))
-    generator = torch.Generator().manual_seed(task.seed % 2**63)
-    calibration = calibrate(job, generator=generator)
+    options = Options(device=task.device, seed=task.seed)
+    job = read_job(task.job, device=device(options))
+    calibration = calibrate(job, generator=generator(options))
     with replaced_folder(task.folder, input_files(task.job)) as folder:
         write_results(calibration, folder)
         record = record_of(task, job, calibration, time.perf_counter() - began)

@@ -26,8 +26,8 @@ from torchcal.model.job import Job
 from torchcal.model.read_job import read_job
 from torchcal.model.unique_names import unique_names
 
-USABLE = 0
-NOT_USABLE = 3
+USABLE, UNREADABLE, NOT_USABLE, INTERRUPTED = 0, 2, 3, 130
+"""What the exit status says."""
 
 
 def run_calibrate(command: Calibrate, out: Console, err: Console) -> int:
@@ -107,13 +107,17 @@ def device(options: Options) -> torch.device:
     return torch.device(options.device or ("cuda" if torch.cuda.is_available() else "cpu"))
 
 
+def generator(options: Options) -> torch.Generator:
+    """The random numbers of a run."""
+    return torch.Generator().manual_seed(options.seed % 2**63)
+
+
 def _read(file: Path, options: Options) -> Job:
     return read_job(file, device=device(options))
 
 
 def _calibrate(job: Job, options: Options, report: Report, *, estimate: bool = True) -> Calibration:
-    generator = torch.Generator().manual_seed(options.seed % 2**63)
-    return calibrate(job, estimate=estimate, generator=generator, progress=report)
+    return calibrate(job, estimate=estimate, generator=generator(options), progress=report)
 
 
 def _write_prediction(folder: Path, name: str, ranges: torch.Tensor) -> None:

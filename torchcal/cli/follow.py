@@ -12,9 +12,9 @@ from rich.console import Console
 from torchcal.calibrate.follow import follow
 from torchcal.calibrate.tracked import Tracked, TrackStatus
 from torchcal.calibrate.wander import Wander
-from torchcal.cli.commands import NOT_USABLE, USABLE, device, line
+from torchcal.cli.commands import NOT_USABLE, USABLE, device, generator, line
 from torchcal.cli.options import Follow
-from torchcal.cli.output import input_files, replaced_folder
+from torchcal.cli.output import FRAMES, input_files, replaced_folder
 from torchcal.cli.progress import progress
 from torchcal.cli.result_files import as_json, without_nan
 from torchcal.errors import TorchcalError
@@ -26,11 +26,10 @@ def run_follow(command: Follow, out: Console, err: Console) -> int:
     """``torchcal follow``; returns the exit status."""
     recording = read_recording(command.job, device=device(command.options))
     drift = drift_of(command, recording.job)
-    generator = torch.Generator().manual_seed(command.options.seed % 2**63)
-    steps = follow(recording, drift=drift, generator=generator)
+    steps = follow(recording, drift=drift, generator=generator(command.options))
     taken: list[Tracked] = []
     with replaced_folder(command.out, input_files(command.job)) as folder:
-        with progress(err) as report, (folder / "frames.jsonl").open("w", encoding="utf-8") as file:
+        with progress(err) as report, (folder / FRAMES).open("w", encoding="utf-8") as file:
             for tracked in steps:
                 taken.append(tracked)
                 text = json.dumps(frame_dict(tracked), allow_nan=False, ensure_ascii=False) + "\n"
@@ -132,4 +131,4 @@ def _tell(taken: Sequence[Tracked], folder: Path, out: Console) -> None:
             f"The model agrees with {100.0 * worst.agreement:.1f} % of what was measured in frame "
             f"{worst.name}, the least of those tracking; torchcal calibrate says what differs",
         )
-    line(out, f"Every frame is in {folder / 'frames.jsonl'}")
+    line(out, f"Every frame is in {folder / FRAMES}")

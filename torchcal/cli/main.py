@@ -30,9 +30,6 @@ from torchcal.cli.update import run_update
 from torchcal.cli.view import run_view
 from torchcal.errors import TorchcalError
 
-UNREADABLE = 2
-INTERRUPTED = 130
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command and returns its exit status; mistakes become one line on standard error.
@@ -47,10 +44,10 @@ def main(arguments: list[str] | None = None) -> int:
     except (TorchcalError, OSError) as error:
         words = " ".join(str(error).split())
         err.print(f"error: {words}", markup=False, highlight=False, soft_wrap=True)
-        return UNREADABLE
+        return commands.UNREADABLE
     except KeyboardInterrupt:
         err.print("interrupted: nothing was written", markup=False)
-        return INTERRUPTED
+        return commands.INTERRUPTED
 
 
 def _runner(command: Command) -> Callable[[Any, Console, Console], int]:

@@ -95,15 +95,20 @@ class Check:
 class Batch:
     """Calibrate many jobs, one after the other or at once; run again, it goes on where it ended."""
 
-    jobs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="JOB...")]
+    jobs: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="JOB...", help_behavior_hint="(required)"),
+    ]
     """Job files, and folders of which every job.toml is taken."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for a result of each job, the table and the page; finished jobs there are kept."""
     workers: Annotated[
         int | None,
-        tyro.conf.arg(metavar="N", help_behavior_hint="(default: this process alone)"),
+        tyro.conf.arg(metavar="N", help_behavior_hint="(default: this process; with --ray, all)"),
     ] = None
-    """Processes of one thread each; with --ray, most jobs at once."""
+    """How many jobs at once: here, in processes of one thread each; with --ray, at most so many on
+    the cluster, which --ray local starts with so many processors."""
     ray: Annotated[
         str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")
     ] = None
@@ -133,8 +138,8 @@ class View:
     """Follow the torchcal follow of this JOB that writes, or wrote, into DIR."""
     host: str = "127.0.0.1"
     """The address to listen on; 0.0.0.0 is every network that this machine is in."""
-    port: int = 8080
-    """The port to listen on; the next free one if it is taken."""
+    port: Annotated[int | None, _optional("PORT", "(default: the first free one from 8080)")] = None
+    """The port to listen on."""
     options: Shared = Options()
 
 

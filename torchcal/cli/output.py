@@ -14,7 +14,10 @@ from torchcal.errors import TorchcalError
 MARKERS = ("result.json", "preview")
 """What every folder that torchcal wrote holds, here or in ``result`` (the demo)."""
 
-WRITTEN = ("result.json", "frames.jsonl", "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
+FRAMES = "frames.jsonl"
+"""What torchcal follow writes a line of each frame into."""
+
+WRITTEN = ("result.json", FRAMES, "report.html", "robot.urdf", "world.glb", "hybrid/*.png")
 WRITTEN += ("comparison/*.png", "depth/*.npy", "preview/*.png", "batch.json", "frames/*.npz")
 WRITTEN += ("model/*.glb", "model/record.json", "model/*.lock")
 WRITTEN += (".world.partial-*.glb", ".report.partial-*.html")

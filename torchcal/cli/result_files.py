@@ -9,9 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchcal.calibrate.check_result import (
-    JobCheck,
-)
+from torchcal.calibrate.check_result import Foresight, JobCheck
 from torchcal.calibrate.kept_result import kept
 from torchcal.calibrate.result import (
     AddedObject,
@@ -59,14 +57,14 @@ def result_dict(calibration: Calibration) -> dict[str, Any]:
 
 def check_dict(check: JobCheck) -> dict[str, Any]:
     """A check as plain data: metres and radians; no NaN (None instead)."""
-    return without_nan(
-        {
-            "frames": [asdict(frame) for frame in check.frames],
-            "parameters": [asdict(parameter) for parameter in check.parameters],
-            "unobservable": _directions(check.unobservable),
-            "warnings": list(check.warnings),
-        }
-    )
+    frames = [asdict(frame) for frame in check.frames]
+    return without_nan({"frames": frames, **_expected(check), "warnings": list(check.warnings)})
+
+
+def foresight_dict(found: Foresight) -> dict[str, Any]:
+    """A foresight as plain data: metres and radians; no NaN (None instead)."""
+    view = None if found.next_view is None else asdict(found.next_view)
+    return without_nan({**_expected(found), "next_view": view})
 
 
 def as_json(data: dict[str, Any]) -> str:
@@ -148,6 +146,12 @@ def _verdict(verdict: ObjectVerdict) -> dict[str, Any]:
     if verdict.T_world_object is None:
         return counts
     return counts | {"T_world_object": _numbers(verdict.T_world_object)}
+
+
+def _expected(found: JobCheck | Foresight) -> dict[str, Any]:
+    """How well each unknown can be told, and what cannot."""
+    parameters = [asdict(parameter) for parameter in found.parameters]
+    return {"parameters": parameters, "unobservable": _directions(found.unobservable)}
 
 
 def _directions(directions: Sequence[UnobservableDirection]) -> list[dict[str, Any]]:

@@ -6,14 +6,14 @@ import sys
 from contextlib import redirect_stdout
 from functools import partial
 
-import torch
 from rich.console import Console
 
 from torchcal.calibrate import calibrate
 from torchcal.calibrate.followed import Followed
 from torchcal.calibrate.kept_result import kept
-from torchcal.cli.commands import USABLE, device, line, print_json
+from torchcal.cli.commands import USABLE, device, generator, line, print_json
 from torchcal.cli.options import View
+from torchcal.cli.output import FRAMES
 from torchcal.cli.progress import progress
 from torchcal.cli.unfinished import newest
 from torchcal.display.view.follow import FollowSource
@@ -21,8 +21,8 @@ from torchcal.display.view.source import FolderSource, KeptSource, Source
 from torchcal.errors import TorchcalError
 from torchcal.model.read_job import read_job, read_recording
 
-_STREAM = socket.SOCK_STREAM
-FRAMES = "frames.jsonl"
+PORT = 8080
+"""Where a search for a free port begins."""
 
 
 def run_view(command: View, out: Console, err: Console) -> int:
@@ -36,7 +36,8 @@ def run_view(command: View, out: Console, err: Console) -> int:
     _check_address(command.host, command.port)
     source = source_of(command, err)
     with redirect_stdout(sys.stderr):  # viser tells its address there, too
-        window = Window(source, host=command.host, port=command.port)
+        port = PORT if command.port is None else command.port
+        window = Window(source, host=command.host, port=port)
     if command.options.json:
         print_json({"address": window.address}, out)
     else:
@@ -52,20 +53,20 @@ def run_view(command: View, out: Console, err: Console) -> int:
     return USABLE
 
 
-def _check_address(host: str, port: int) -> None:
+def _check_address(host: str, port: int | None) -> None:
     """Raises unless this machine can listen there, before anything long is done."""
+    asked = f"--host {host}" if port is None else f"--host {host} --port {port}"
     expected = "--host and --port of this machine where nobody listens yet"
     if not host:
         raise TorchcalError(f"--host: found nothing; expected {expected}")
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=_STREAM)[0]
+        found = socket.getaddrinfo(host, port or 0, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except (OSError, OverflowError, UnicodeError) as error:
-        raise TorchcalError(
-            f"--host {host} --port {port}: found {error}; expected {expected}"
-        ) from error
+        raise TorchcalError(f"{asked}: found {error}; expected {expected}") from error
 
 
 def source_of(command: View, err: Console) -> Source:
@@ -91,7 +92,7 @@ def source_of(command: View, err: Console) -> Source:
 def _nominal(command: View, err: Console) -> KeptSource:
     """A job before anything is estimated."""
     job = read_job(command.result, device=device(command.options))
-    generator = torch.Generator().manual_seed(command.options.seed % 2**63)
+    draws = generator(command.options)
     with progress(err) as report:
-        calibration = calibrate(job, estimate=False, generator=generator, progress=report)
+        calibration = calibrate(job, estimate=False, generator=draws, progress=report)
     return KeptSource(kept(calibration))

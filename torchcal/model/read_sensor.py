@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from torchcal.errors import JobError
+from torchcal.errors import JobError, TorchcalError, choices
 from torchcal.geometry.projection import Pinhole, Projection, Spherical
 from torchcal.model.job_schema import SensorTable
 from torchcal.model.sensor import PRESETS, Noise, Sensor
@@ -28,8 +28,10 @@ def preset_sensor(name: str) -> Sensor:
     """One of the paper's sensors (2.2), as a job that names nothing else has it.
 
     Raises:
-        KeyError: If ``PRESETS`` has no such sensor.
+        TorchcalError: If there is no such preset.
     """
+    if name not in PRESETS:
+        raise TorchcalError(f"preset: found {name!r}; expected {choices(PRESETS)}")
     table = {"preset": name, **PRESETS[name]}
     return read_sensor(Path(name), SensorTable.model_validate(table))
 

@@ -28,7 +28,7 @@ class View:
     Args:
         source: What is shown.
         host: The address to listen on.
-        port: The port; the next free one is taken.
+        port: The port; if it is taken, the next free one.
 
     Raises:
         TorchcalError: If the source cannot be read.
