@@ -1,9 +1,11 @@
 """Points to nearest patches, and the search that starts with them, from starts that are far off."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import recordings
+import scenes
 import torch
 from recordings import EYE, pose, twist
 from torch import Tensor
@@ -14,7 +16,7 @@ from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.search import APART, best_apart, candidate_states, states_are_apart
 from torchcal.geometry import se3
-from torchcal.model.job import Job
+from torchcal.model.job import Job, PosePrior
 from torchcal.model.scene import Surface
 from torchcal.solve.gauss_newton import GaussNewtonConfig, minimise, shared
 
@@ -153,6 +155,36 @@ def test_distinct_states_are_the_best_that_are_apart():
     steps[:, 0] = torch.tensor([0.0, 0.001, 0.2, 0.4], dtype=torch.float64)
     states = parameters.retract(parameters.nominal.expand(4, 2, 4, 4), steps)
     costs = torch.tensor([3.0, 2.0, torch.nan, 1.0], dtype=torch.float64)
-    kept = torch.stack(best_apart(states, costs, parameters))
+    kept = torch.stack(best_apart(states, costs, parameters, 4))
     # The first lies beside the second, which is better; what has no cost comes last.
     torch.testing.assert_close(kept, states[[3, 1, 2]], rtol=0, atol=0)
+    torch.testing.assert_close(kept[:2], torch.stack(best_apart(states, costs, parameters, 2)))
+
+
+def test_a_state_that_contradicts_the_prior_crowds_out_none_that_does_not():
+    _, _, parameters = setting(room_job(FAR_OFF))
+    steps = torch.zeros(3, 6, dtype=torch.float64)
+    steps[:, 0] = torch.tensor([6.0, 1.0, 2.0], dtype=torch.float64) * parameters.prior_sigma[0]
+    states = parameters.retract(parameters.nominal.expand(3, 2, 4, 4), steps)
+    costs = torch.tensor([1.0, 3.0, 2.0], dtype=torch.float64)
+    kept = torch.stack(best_apart(states, costs, parameters, 3))
+    torch.testing.assert_close(kept, states[[2, 1, 0]], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_both_corners_of_a_square_room_are_found(seed):
+    """A prior of 0.8 rad about the vertical holds two turns that are a right angle apart."""
+    sigma = torch.tensor([0.1, 0.0, 0.1, 0.05, 0.8, 0.05], dtype=torch.float64)
+    turn = torch.tensor([0.0, 0.0, 0.0, 0.0, 1.0, 0.0], dtype=torch.float64)
+    job = recordings.hand_held(
+        recordings.sensor(),
+        [EYE],
+        error=turn,
+        real={"room": scenes.box((5.0, 3.0, 5.0), (0.0, 0.0, 0.0))},
+    )
+    observation, surface, parameters = setting(replace(job, base=PosePrior(sigma=sigma)))
+    generator = torch.Generator().manual_seed(seed)
+    states = candidate_states(observation, surface, parameters, generator)
+    turns = parameters.difference(states, parameters.nominal)[:, parameters.names.index("base.ry")]
+    for expected in (-1.0, 0.5 * math.pi - 1.0):
+        assert float((turns - expected).abs().min()) < 0.02

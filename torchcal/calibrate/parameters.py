@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchcal.calibrate.mechanism import Mechanism, Placed, centre_of
@@ -86,9 +86,9 @@ class Parameters:
         """How far a state is from the nominal one, in prior sigmas."""
         return self.difference(state, self.nominal) / self.prior_sigma
 
-    def contradicts_prior(self, state: Float[Tensor, "slot 4 4"]) -> bool:
+    def contradicts_prior(self, state: Float[Tensor, "*batch slot 4 4"]) -> Bool[Tensor, "*batch"]:
         """Whether some parameter is more than ``FARTHEST`` prior sigmas from the nominal one."""
-        return bool((self.from_nominal(state).abs() > FARTHEST).any())
+        return (self.from_nominal(state).abs() > FARTHEST).any(-1)
 
     def with_base(
         self, Ts_world_base: Float[Tensor, "*batch 4 4"]

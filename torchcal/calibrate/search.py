@@ -16,8 +16,10 @@ from torchcal.solve.gauss_newton import GaussNewtonConfig, Solution, minimise, s
 
 STARTS = 32
 """The nominal state and draws from the prior."""
+LOOKED_AT = 8
+"""States that are aligned once more, with what of the model is seen from them."""
 KEPT = 4
-"""States that are looked at again after the first alignment."""
+"""Of these, the states that go on to the images."""
 POINTS = 2000
 """Measured points in all frames together."""
 APART = 0.1
@@ -43,20 +45,30 @@ def candidate_states(
         return minimise(shared(fit.evaluate), parameters.retract, starts, config)
 
     first = aligned(parameters.nominal, _starts(parameters, generator))
-    starts = best_apart(first.state, first.equations.cost, parameters)
+    starts = best_apart(first.state, first.equations.cost, parameters, LOOKED_AT)
     again = [aligned(state, state[None]) for state in starts]
     states = torch.cat([solution.state for solution in again])
     costs = torch.cat([solution.equations.cost for solution in again])
-    return torch.stack(best_apart(states, costs, parameters))
+    return torch.stack(best_apart(states, costs, parameters, KEPT))
 
 
 def best_apart(
-    states: Float[Tensor, "state slot 4 4"], costs: Float[Tensor, " state"], parameters: Parameters
+    states: Float[Tensor, "state slot 4 4"],
+    costs: Float[Tensor, " state"],
+    parameters: Parameters,
+    count: int,
 ) -> list[Tensor]:
-    """The best ``KEPT`` states that are apart from each other, the best first."""
+    """The best states that are apart from each other, the best first.
+
+    Those that contradict the prior come last: they can be no answer, and would crowd out another
+    that can.
+    """
+    order = costs.nan_to_num(torch.inf).argsort()
+    contradicting = parameters.contradicts_prior(states[order])
+    order = order[contradicting.int().argsort(stable=True)]
     kept: list[Tensor] = []
-    for state in states[costs.nan_to_num(torch.inf).argsort()]:
-        if len(kept) < KEPT and all(states_are_apart(state, other, parameters) for other in kept):
+    for state in states[order]:
+        if len(kept) < count and all(states_are_apart(state, other, parameters) for other in kept):
             kept.append(state)
     return kept
 
@@ -71,8 +83,11 @@ def states_are_apart(
 
 
 def _starts(parameters: Parameters, generator: torch.Generator) -> Tensor:
-    shape = (STARTS, len(parameters.names))
-    steps = torch.randn(shape, generator=generator, dtype=torch.float64)
+    """The nominal state, and draws that fill the prior more evenly than independent ones."""
+    count = len(parameters.names)
+    seed = int(torch.randint(1 << 31, (), generator=generator))
+    even = torch.quasirandom.SobolEngine(count, scramble=True, seed=seed).draw(STARTS)
+    steps = torch.special.ndtri(even.double().clamp(1e-3, 1.0 - 1e-3))
     steps[0] = 0.0
     steps = steps.to(parameters.prior_sigma) * parameters.prior_sigma
     return parameters.retract(parameters.nominal.expand(STARTS, *parameters.nominal.shape), steps)
