@@ -75,7 +75,7 @@ def run_trial(job: torchcal.Job, options: Options, number: int) -> dict[str, Any
         "accused": [
             name
             for name, verdict in verdicts.items()
-            if verdict.verdict in ("removed", "moved") and name not in job.objects
+            if verdict.verdict.is_change and name not in job.objects
         ],
         "added": len(calibration.update.added),
     }

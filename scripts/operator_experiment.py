@@ -100,9 +100,7 @@ def judged(trial: OperatorTrial, update: torchcal.Update) -> dict[str, Any]:
     truth, verdicts = trial.changes, update.verdicts
     expected = {truth.removed: "removed", truth.moved: "moved"}
     accused = [
-        name
-        for name, each in verdicts.items()
-        if each.verdict in ("removed", "moved") and name not in expected
+        name for name, each in verdicts.items() if each.verdict.is_change and name not in expected
     ]
     right = {
         verdict: verdicts[name].verdict == verdict

@@ -20,6 +20,7 @@ from torchcal.calibrate.result import (
     Status,
     UnobservableDirection,
     Update,
+    Verdict,
 )
 from torchcal.geometry import se3
 from torchcal.geometry.projection import Pinhole
@@ -163,9 +164,9 @@ def calibration(
         comparisons=tuple(comparison(name) for name in names),
         update=Update(
             verdicts={
-                "wall": ObjectVerdict(verdict="agrees", agree=900, seen_through=0, hidden=20),
+                "wall": ObjectVerdict(verdict=Verdict.AGREES, agree=900, seen_through=0, hidden=20),
                 "crate": ObjectVerdict(
-                    verdict="removed", agree=0, seen_through=256, hidden=0, frames=names[:1]
+                    verdict=Verdict.REMOVED, agree=0, seen_through=256, hidden=0, frames=names[:1]
                 ),
             },
             added=(
@@ -189,6 +190,8 @@ MOVED = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.1, 0.0, 0.2], dtype=torch.float64
 def transaction_of_all_kinds() -> Transaction:
     """The wall has moved, the crate is gone and one thing is new."""
     whole = calibration()
-    wall = ObjectVerdict(verdict="moved", agree=90, seen_through=5, hidden=2, T_world_object=MOVED)
+    wall = ObjectVerdict(
+        verdict=Verdict.MOVED, agree=90, seen_through=5, hidden=2, T_world_object=MOVED
+    )
     update = dataclasses.replace(whole.update, verdicts={**whole.update.verdicts, "wall": wall})
     return Transaction.undecided("job.toml", whole.job.world, update)

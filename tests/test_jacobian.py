@@ -19,12 +19,29 @@ from torch.testing import assert_close
 from torchcal.geometry import se3
 from torchcal.match.elements import Elements
 from torchcal.match.residuals import PairResiduals
-from torchcal.solve.jacobian import forward_mode, numerical
+from torchcal.solve.jacobian import Linearise, Residual, Retract, numerical
 
 # torch itself uses what it deprecates when forward-mode differentiation is loaded.
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script.*:DeprecationWarning")
 
 WORDS = ["PPPP", "LLLL", "EEEE", "PPLLEE"]
+
+
+def forward_mode(residual: Residual, retract: Retract, parameters: int) -> Linearise:
+    """The derivative by forward-mode differentiation, a pass for each parameter."""
+
+    def linearise(state: Tensor, problem: Tensor) -> tuple[Tensor, Tensor]:
+        def moved(step: Tensor) -> Tensor:
+            return residual(retract(state, step), problem)
+
+        zero = state.new_zeros(len(state), parameters)
+        columns = [
+            torch.func.jvp(moved, (zero,), (direction.expand_as(zero),))[1]
+            for direction in torch.eye(parameters, dtype=state.dtype, device=state.device)
+        ]
+        return residual(state, problem), -torch.stack(columns, -1)
+
+    return linearise
 
 
 def drawn(word: str, members: int, rng: torch.Generator) -> Elements:

@@ -60,9 +60,10 @@ def test_noise_of_one_sigma_loses_no_set_and_keeps_it_near_the_truth(word, rng):
     model, T = well_placed(word, 300, rng=rng), poses(300, rng=rng)
     exact = with_covariance(moved(T, model), covariances(300, len(word), rng=rng, sigma=0.01))
     found = hypotheses(model, noisy(exact, rng=rng), one_to_one(300, len(word)))
-    # Five sigma at levers of some metres, at angles where noise counts three times.
-    assert float(nearest(found, T).max()) < 0.5
-    assert float(nearest(found, T).median()) < 0.05
+    # Levers of some metres, at angles where noise counts three times: the median of the worst
+    # kind of sets is 0.021, and the largest of 2100 is 0.078.
+    assert float(nearest(found, T).max()) < 0.15
+    assert float(nearest(found, T).median()) < 0.03
 
 
 def cube() -> torch.Tensor:

@@ -111,7 +111,11 @@ def test_things_farther_apart_than_the_tolerances_stay_apart():
         Patch(frame="a", mesh=sheet(0.3, [0.0, 0.0, z]), tolerance=0.01) for z in (1.0, 1.02)
     ]
     assert len(merged_objects(patches)) == 2
-    assert math.hypot(0.01, 0.01) < 0.02
+    # Two of 1 cm reach farther together, and then they are one.
+    nearer = [
+        Patch(frame="a", mesh=sheet(0.3, [0.0, 0.0, z]), tolerance=0.01) for z in (1.0, 1.005)
+    ]
+    assert len(merged_objects(nearer)) == 1
 
 
 def test_no_patches_are_no_objects():

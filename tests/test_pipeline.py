@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchcal.calibrate.parameters import AXES
 from torchcal.calibrate.pipeline import calibrate, predict
-from torchcal.calibrate.result import Calibration, PixelClass, Status
+from torchcal.calibrate.result import Calibration, PixelClass, Status, Verdict
 from torchcal.geometry import se3
 from torchcal.model.job import Job
 
@@ -53,8 +53,9 @@ def test_pose_is_found_within_a_few_claimed_sigmas(calibration):
 
 
 def test_an_unchanged_room_is_left_as_it_is(calibration):
-    verdicts = {each.verdict for each in calibration.update.verdicts.values()}
-    assert verdicts <= {"agrees", "unseen"}
+    verdicts = {name: each.verdict for name, each in calibration.update.verdicts.items()}
+    assert verdicts["room"] is verdicts["crate"] is Verdict.AGREES
+    assert set(verdicts.values()) <= {Verdict.AGREES, Verdict.UNSEEN}
     assert calibration.update.added == ()
     labels = torch.stack([frame.label for frame in calibration.comparisons])
     # 0.3 % by chance; the rest at silhouettes, where the synthesis is coarser.

@@ -194,8 +194,9 @@ def test_a_slowly_varying_part_leaves_less_information():
     # Marginalising an unknown never adds information: the difference is positive semidefinite.
     scale = before.diagonal().rsqrt()
     lost = (before - after) * scale * scale[:, None]
-    assert float(torch.linalg.eigvalsh(lost)[0]) > -0.02
-    assert float(after[2, 2]) < 0.2 * float(before[2, 2])
+    assert float(torch.linalg.eigvalsh(lost)[0]) > -1e-9  # rounding of sums over 3072 pixels
+    # Some twenty patches with errors of their own instead of 3072 pixels: 1/150 of it.
+    assert float(after[2, 2]) < 0.02 * float(before[2, 2])
 
 
 def test_a_larger_sigma_scale_lowers_information_by_its_square():

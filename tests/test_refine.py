@@ -64,9 +64,9 @@ def test_error_is_a_few_claimed_sigmas(projection, frames):
     job = recordings.hand_held(sensor, list(TRUTHS[:frames]), error=NEARBY)
     error, P = error_and_covariance(job)
     assert float((error.abs() / P.diagonal().sqrt()).max()) < 4.0
-    # 3072 pixels of 2 cm, two or three directions from each wall: some tenths of a millimetre.
-    assert float(P.diagonal()[:3].sqrt().max()) < 0.002
-    assert float(P.diagonal()[3:].sqrt().max()) < 0.002
+    # 3072 pixels of 2 cm, two or three directions from each wall: at most 1 mm and 0.4 mrad.
+    assert float(P.diagonal()[:3].sqrt().max()) < 0.0015
+    assert float(P.diagonal()[3:].sqrt().max()) < 0.0006
 
 
 @pytest.mark.slow
@@ -77,7 +77,7 @@ def test_claimed_covariance_is_that_of_the_errors():
         for seed in range(SEEDS)
     ]
     # The mean of 120 squared standard normals is 1 with a standard deviation of 0.13.
-    assert 0.6 < sum(scores) / SEEDS < 1.6
+    assert 0.6 < sum(scores) / SEEDS < 1.4
 
 
 def test_more_frames_tell_more():
@@ -146,11 +146,12 @@ def test_coarse_fit_brings_all_candidates_near():
     starts = parameters.retract(parameters.nominal.expand(3, 2, 4, 4), steps)
     _, solution = coarse_fit(observe(job), scene.surface, parameters, starts)
     errors = se3.log(parameters.sensor_poses(solution.state)[:, 0])
-    assert float(errors[:, :3].norm(dim=-1).max()) < 0.005
-    assert float(errors[:, 3:].norm(dim=-1).max()) < 0.005
-    # At one cut-off, the same minimum has the same cost.
+    # Four sigmas of the fine fit; here they are 1.2 mm and 0.5 mrad.
+    assert float(errors[:, :3].norm(dim=-1).max()) < 0.004
+    assert float(errors[:, 3:].norm(dim=-1).max()) < 0.0016
+    # At one cut-off, the same minimum has the same cost: up to steps of a hundredth of a sigma.
     torch.testing.assert_close(
-        solution.equations.cost, solution.equations.cost[:1].expand(3), rtol=0.02, atol=0
+        solution.equations.cost, solution.equations.cost[:1].expand(3), rtol=1e-5, atol=0
     )
 
 

@@ -14,7 +14,7 @@ from display_scene import calibration
 from PIL import Image
 
 from torchcal.calibrate.kept_result import kept
-from torchcal.calibrate.result import Calibration, Evidence, ObjectVerdict, Status
+from torchcal.calibrate.result import Calibration, Evidence, ObjectVerdict, Status, Verdict
 from torchcal.display import report as reports
 from torchcal.display.report import FramePictures, pictured_frames, report
 from torchcal.display.report_rows import (
@@ -46,7 +46,7 @@ def moved() -> Calibration:
     found = calibration()
     twist = torch.tensor([0.03, 0.0, 0.0, 0.0, 0.0, 0.1], dtype=torch.float64)
     verdict = ObjectVerdict(
-        verdict="moved", agree=1234, seen_through=56, hidden=7, T_world_object=se3.exp(twist)
+        verdict=Verdict.MOVED, agree=1234, seen_through=56, hidden=7, T_world_object=se3.exp(twist)
     )
     verdicts = found.update.verdicts | {"crate": verdict}
     return replace(found, update=replace(found.update, verdicts=verdicts))

@@ -21,6 +21,7 @@ from torchcal.calibrate.result import (
     ObjectVerdict,
     Status,
     UnobservableDirection,
+    Verdict,
 )
 from torchcal.cli.result_files import (
     as_json,
@@ -232,7 +233,9 @@ def test_every_block_has_its_entry_with_its_sigma():
 def test_an_object_that_moved_says_where_to():
     known = calibration()
     T = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.1, 0.0, 0.2], dtype=torch.float64))
-    verdict = ObjectVerdict(verdict="moved", agree=9, seen_through=0, hidden=0, T_world_object=T)
+    verdict = ObjectVerdict(
+        verdict=Verdict.MOVED, agree=9, seen_through=0, hidden=0, T_world_object=T
+    )
     update = replace(known.update, verdicts={**known.update.verdicts, "wall": verdict})
     objects = result_dict(replace(known, update=update))["objects"]
     assert objects["wall"]["T_world_object"] == T.tolist()

@@ -10,7 +10,7 @@ from PIL import Image
 from rich.console import Console
 
 from torchcal.calibrate.kept_result import kept
-from torchcal.calibrate.result import Calibration, ObjectVerdict
+from torchcal.calibrate.result import Calibration, ObjectVerdict, Verdict
 from torchcal.cli.tables import calibration_view
 from torchcal.display.report import FramePictures, report
 from torchcal.display.summary import OWN_AXES
@@ -56,7 +56,7 @@ def test_rows_of_a_pose_say_whose_axes_they_are_of():
 @pytest.mark.parametrize(("pixels", "words"), [(0, "unseen"), (10, "hardly seen")])
 def test_what_was_seen_a_little_is_not_called_unseen(pixels, words):
     found = calibration()
-    far = ObjectVerdict(verdict="unseen", agree=pixels, seen_through=0, hidden=5)
+    far = ObjectVerdict(verdict=Verdict.UNSEEN, agree=pixels, seen_through=0, hidden=5)
     found = replace(found, update=replace(found.update, verdicts={"far": far}))
     picture = Image.new("RGB", (8, 6))
     pictures = FramePictures(hybrid=picture, comparison=picture)

@@ -25,6 +25,7 @@ from torchcal.calibrate.result import (
     ObjectVerdict,
     Proposal,
     Update,
+    Verdict,
 )
 from torchcal.calibrate.update import added_objects, frame_regions, object_verdicts
 from torchcal.model.job import Frame, Job
@@ -273,10 +274,10 @@ def test_proposals_are_the_changes_with_their_evidence():
     verdicts = {
         name: ObjectVerdict(verdict=verdict, agree=5, seen_through=90, hidden=3)
         for name, verdict in (
-            ("wall", "agrees"),
-            ("crate", "removed"),
-            ("drum", "moved"),
-            ("far", "unseen"),
+            ("wall", Verdict.AGREES),
+            ("crate", Verdict.REMOVED),
+            ("drum", Verdict.MOVED),
+            ("far", Verdict.UNSEEN),
         )
     }
     verdicts["drum"] = replace(verdicts["drum"], frames=("b", "c"))

@@ -14,7 +14,7 @@ from torchcal.calibrate.estimate import agreement_with, belief_after
 from torchcal.calibrate.fits import EXPLAINED_ANYWHERE, choose_start, fit_pixels
 from torchcal.calibrate.moves import Looked
 from torchcal.calibrate.refine import fitted_drift
-from torchcal.calibrate.result import ObjectVerdict
+from torchcal.calibrate.result import ObjectVerdict, Verdict
 from torchcal.calibrate.spread import moves_far
 from torchcal.calibrate.update import frame_regions, object_verdicts
 
@@ -30,7 +30,7 @@ def with_absent(
     if not verdicts or not _is_wide(looked):
         return dict(verdicts)
     settled = _settled_verdicts(looked, generator)
-    gone = {name: each for name, each in settled.items() if each.verdict == "removed"}
+    gone = {name: each for name, each in settled.items() if each.verdict is Verdict.REMOVED}
     return dict(verdicts) | gone
 
 

@@ -138,12 +138,26 @@ class FrameComparison:
     usable: Bool[Tensor, "h w"]
 
 
+class Verdict(StrEnum):
+    """What the images say of an object of the world."""
+
+    AGREES = "agrees"
+    MOVED = "moved"
+    REMOVED = "removed"
+    UNSEEN = "unseen"
+    """Too few pixels show it or see through it."""
+
+    @property
+    def is_change(self) -> bool:
+        """Whether the object is not where the model has it."""
+        return self in (Verdict.MOVED, Verdict.REMOVED)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectVerdict:
-    """What the images say of one object of the world."""
+    """The verdict on one object of the world, and the pixels that it rests on."""
 
-    verdict: str
-    """"agrees", "moved", "removed", or "unseen": too few pixels show it or see through it."""
+    verdict: Verdict
     agree: int
     seen_through: int
     hidden: int
@@ -220,9 +234,9 @@ class Update:
 def _changes(verdict: ObjectVerdict) -> list[tuple[Change, Evidence]]:
     """The change, at most one, that a verdict asks for."""
     through, agree, hidden = verdict.seen_through, verdict.agree, verdict.hidden
-    if verdict.verdict == "removed":
+    if verdict.verdict is Verdict.REMOVED:
         return [(Change.REMOVE, Evidence(supporting=through, contradicting=agree, hidden=hidden))]
-    if verdict.verdict == "moved":
+    if verdict.verdict is Verdict.MOVED:
         return [(Change.MOVE, Evidence(supporting=agree, contradicting=through, hidden=hidden))]
     return []
 

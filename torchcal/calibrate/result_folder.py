@@ -23,7 +23,7 @@ from torch import Tensor
 from torchcal.calibrate.comparison_files import read_comparison, write_comparison
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.kept_result import FramePlace, OnDemand, Result
-from torchcal.calibrate.result import AddedObject, Evidence, ObjectVerdict, Status, Update
+from torchcal.calibrate.result import AddedObject, Evidence, ObjectVerdict, Status, Update, Verdict
 from torchcal.errors import TorchcalError
 from torchcal.geometry.projection import Pinhole, Projection, Spherical
 from torchcal.model.robot import load_robot
@@ -212,7 +212,7 @@ def _transaction(folder: Path, record: dict[str, Any], result: dict[str, Any]) -
 def _verdict(entry: dict[str, Any]) -> ObjectVerdict:
     T = entry.get("T_world_object")
     return ObjectVerdict(
-        verdict=entry["verdict"],
+        verdict=Verdict(entry["verdict"]),
         agree=entry["agree"],
         seen_through=entry["seen_through"],
         hidden=entry["hidden"],

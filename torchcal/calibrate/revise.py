@@ -15,7 +15,7 @@ from torchcal.calibrate.absence import with_absent
 from torchcal.calibrate.compare import Belief, compare_as_believed, without_range_error
 from torchcal.calibrate.moves import Looked, find_moved
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.result import Estimate, FrameComparison, ObjectVerdict, Update
+from torchcal.calibrate.result import Estimate, FrameComparison, ObjectVerdict, Update, Verdict
 from torchcal.calibrate.update import added_objects, object_verdicts
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene, without_bodies
@@ -81,13 +81,13 @@ def _verdicts(looked: Looked, moved: Mapping[str, Tensor]) -> dict[str, ObjectVe
 
 
 def _removed(verdicts: Mapping[str, ObjectVerdict]) -> list[str]:
-    return [name for name, each in verdicts.items() if each.verdict == "removed"]
+    return [name for name, each in verdicts.items() if each.verdict is Verdict.REMOVED]
 
 
 def _is_confirmed(verdict: ObjectVerdict) -> bool:
     """Whether hardly a pixel sees through the object at its new place."""
     compared = verdict.agree + verdict.seen_through
-    return verdict.verdict == "moved" and verdict.seen_through <= CONTRADICTED * compared
+    return verdict.verdict is Verdict.MOVED and verdict.seen_through <= CONTRADICTED * compared
 
 
 def _corrected(

@@ -26,6 +26,7 @@ from torchcal.calibrate.result import (
     FrameComparison,
     ObjectVerdict,
     PixelClass,
+    Verdict,
 )
 from torchcal.model.job import Job
 from torchcal.model.scene import Body
@@ -133,7 +134,7 @@ def object_verdict(
         agree=agree,
         seen_through=seen_through,
         hidden=hidden,
-        frames=tuple(piercing if verdict == "removed" else showing),
+        frames=tuple(piercing if verdict is Verdict.REMOVED else showing),
     )
 
 
@@ -157,18 +158,19 @@ def new_surfaces(
     return [labels == i for i in range(1, int(labels.max()) + 1)]
 
 
-def _verdict(agree: int, seen_through: int) -> str:
+def _verdict(agree: int, seen_through: int) -> Verdict:
     compared = agree + seen_through
     if compared < LEAST_EVIDENCE:
-        return "unseen"
-    return "removed" if seen_through > SEEN_THROUGH_SHARE * compared else "agrees"
+        return Verdict.UNSEEN
+    is_gone = seen_through > SEEN_THROUGH_SHARE * compared
+    return Verdict.REMOVED if is_gone else Verdict.AGREES
 
 
 def _moved(verdict: ObjectVerdict, T_world_object: Tensor | None) -> ObjectVerdict:
     """An object that the images show where the estimate has it, and not where the model has it."""
-    if T_world_object is None or verdict.verdict != "agrees":
+    if T_world_object is None or verdict.verdict is not Verdict.AGREES:
         return verdict
-    return replace(verdict, verdict="moved", T_world_object=T_world_object)
+    return replace(verdict, verdict=Verdict.MOVED, T_world_object=T_world_object)
 
 
 def _renamed(added: Sequence[AddedObject], taken: Sequence[str]) -> tuple[AddedObject, ...]:

@@ -46,7 +46,7 @@ def _pose_rows(calibration: Calibration, T_world_base: Tensor) -> list[Row]:
 
 def _accused(calibration: Calibration) -> set[str]:
     verdicts = calibration.update.verdicts.items()
-    return {name for name, found in verdicts if found.verdict in ("removed", "moved")}
+    return {name for name, found in verdicts if found.verdict.is_change}
 
 
 def _removed_row(calibration: Calibration, truth: DemoTruth) -> Row:

@@ -140,7 +140,7 @@ def _range(job: Job, estimate: Estimate, sigmas: dict[str, float]) -> dict[str, 
 
 def _verdict(verdict: ObjectVerdict) -> dict[str, Any]:
     """One entry of ``objects``."""
-    counts = {"verdict": verdict.verdict, "agree": verdict.agree}
+    counts = {"verdict": verdict.verdict.value, "agree": verdict.agree}
     counts |= {"seen_through": verdict.seen_through, "hidden": verdict.hidden}
     counts |= {"frames": list(verdict.frames)}
     if verdict.T_world_object is None:

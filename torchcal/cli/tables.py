@@ -17,6 +17,7 @@ from torchcal.calibrate.result import (
     Calibration,
     Status,
     UnobservableDirection,
+    Verdict,
 )
 from torchcal.display.figures import class_counts
 from torchcal.display.report import agreement, headline_of
@@ -31,7 +32,12 @@ from torchcal.display.summary import (
     size_words,
 )
 
-STYLES: dict[str, str] = {"agrees": "green", "unseen": "dim", "moved": "yellow", "removed": "red"}
+STYLES: dict[Verdict, str] = {
+    Verdict.AGREES: "green",
+    Verdict.UNSEEN: "dim",
+    Verdict.MOVED: "yellow",
+    Verdict.REMOVED: "red",
+}
 
 
 def calibration_view(calibration: Calibration) -> Group:
@@ -120,8 +126,9 @@ def _object_table(calibration: Calibration) -> Table:
     table = _table("Objects of the world", "object", *headings)
     for name, found in calibration.update.verdicts.items():
         numbers = (f"{count:,}" for count in (found.agree, found.seen_through, found.hidden))
-        style = STYLES.get(found.verdict)
-        table.add_row(escape(name), Text(verdict_words(found), style=style or ""), *numbers)
+        table.add_row(
+            escape(name), Text(verdict_words(found), style=STYLES[found.verdict]), *numbers
+        )
     for item in calibration.update.added:
         size = size_words(item.mesh.extents)
         table.add_row(escape(item.name), Text("added", style="cyan"), size, "–", "–")

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 
 from torchcal.calibrate.decisions import Decision, Transaction
 from torchcal.calibrate.parameters import parameter_unit
-from torchcal.calibrate.result import AddedObject, Calibration, Change, Evidence, ObjectVerdict
+from torchcal.calibrate.result import (
+    AddedObject,
+    Calibration,
+    Change,
+    Evidence,
+    ObjectVerdict,
+    Verdict,
+)
 from torchcal.display.summary import (
     MILLI,
     SHOWN_UNITS,
@@ -32,7 +39,7 @@ AGAINST: dict[Change, str] = {
 }
 """What the pixels that speak against a change do."""
 
-VERDICTS = ("removed", "moved", "agrees", "unseen")
+VERDICTS = (Verdict.REMOVED, Verdict.MOVED, Verdict.AGREES, Verdict.UNSEEN)
 """In the order of the report: first what asks for a decision."""
 
 
@@ -98,7 +105,9 @@ def objects(calibration: Calibration) -> list[tuple[str, ObjectVerdict]]:
 def verdict_words(verdict: ObjectVerdict) -> str:
     """A verdict as a person reads it: what was seen a little is not called unseen."""
     seen = verdict.agree + verdict.seen_through
-    return "hardly seen" if verdict.verdict == "unseen" and seen > 0 else verdict.verdict
+    return (
+        "hardly seen" if verdict.verdict is Verdict.UNSEEN and seen > 0 else verdict.verdict.value
+    )
 
 
 def added_words(item: AddedObject) -> str:

@@ -1,4 +1,8 @@
-"""Three ways to the derivative A of the measurement model (eq. 13), with the same result."""
+"""The derivative A of the measurement model (eq. 13): its type, and the paper's way to it.
+
+The package's own models have derivatives in closed form, which are checked against this one. It is
+for residuals that nobody has differentiated.
+"""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -12,29 +16,6 @@ Linearise: TypeAlias = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """The same with the derivative A of the prediction on a last axis: v falls by A times the step."""
 Retract: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Moves states by steps ``(active, parameter)``."""
-
-
-def forward_mode(residual: Residual, retract: Retract, parameters: int) -> Linearise:
-    """The derivative by forward-mode differentiation, a pass for each parameter.
-
-    Args:
-        residual: Written in operations that torch can differentiate.
-        retract: Moves states by steps.
-        parameters: Length of a step.
-    """
-
-    def linearise(state: Tensor, problem: Tensor) -> tuple[Tensor, Tensor]:
-        def moved(step: Tensor) -> Tensor:
-            return residual(retract(state, step), problem)
-
-        zero = state.new_zeros(len(state), parameters)
-        columns = [
-            torch.func.jvp(moved, (zero,), (direction.expand_as(zero),))[1]
-            for direction in torch.eye(parameters, dtype=state.dtype, device=state.device)
-        ]
-        return residual(state, problem), -torch.stack(columns, -1)
-
-    return linearise
 
 
 def numerical(
