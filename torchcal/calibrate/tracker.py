@@ -188,7 +188,7 @@ class Tracker:
 
     def _is_far(self, state: Tensor) -> bool:
         """Whether a state is farther from the expected one than a bump explains."""
-        return self._wide().contradicts_prior(state)
+        return bool(self._wide().contradicts_prior(state))
 
     def _explained(self, alone: Job, fit: FrameFit) -> tuple[Told, Trust]:
         """What the frame tells at the state that explains it best, and how far to believe it."""
