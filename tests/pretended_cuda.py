@@ -150,7 +150,9 @@ def _refuse_missing(name: str, kwargs: dict[str, Any], found: Found) -> None:
     if name in PRODUCTS and not any(each.is_floating_point() for each, _ in found):
         raise RuntimeError("\"addmm_cuda\" not implemented for 'Long'")
     if name == "linalg_lstsq" and kwargs.get("driver", "gels") != "gels":
-        raise RuntimeError("torch.linalg.lstsq: `driver` other than `gels` is not supported on CUDA")
+        raise RuntimeError(
+            "torch.linalg.lstsq: `driver` other than `gels` is not supported on CUDA"
+        )
     if name in ("histogram", "histogramdd"):
         raise NotImplementedError(f"Could not run 'aten::{name}' with arguments from 'CUDA'")
 
@@ -179,5 +181,5 @@ def _refuse_assignment(changed: Tensor, index: Any, value: Any) -> None:
     _refuse_index(changed, index)
     parts = index if isinstance(index, tuple) else (index,)
     by_table = any(isinstance(each, list | Tensor) for each in parts)
-    if by_table and isinstance(value, Tensor) and value.dim() > 0 and type(value) != type(changed):
+    if by_table and isinstance(value, Tensor) and value.dim() > 0:
         _refuse_mixture([(changed, True), (value, True)])

@@ -73,7 +73,7 @@ def test_gradients_flow(there):
     assert leaf.grad.tolist() == [0.0, 2.0, 4.0]
 
 
-@pytest.mark.parametrize("to_numpy", [lambda x: x.numpy(), np.asarray, lambda x: np.sqrt(x)])
+@pytest.mark.parametrize("to_numpy", [lambda x: x.numpy(), np.asarray, np.sqrt])
 def test_numpy_gets_nothing(there, to_numpy):
     with pytest.raises(TypeError, match=r"Tensor\.cpu\(\)"):
         to_numpy(there)
@@ -127,4 +127,4 @@ def test_random_numbers_want_a_generator_of_the_device(device, there, rng):
 def test_whole_numbers_have_no_matrix_product(there):
     whole = there.long()
     with pytest.raises(RuntimeError, match="not implemented for"):
-        whole[None] @ whole[:, None]
+        torch.matmul(whole[None], whole[:, None])
