@@ -52,6 +52,9 @@ def _called(func: Callable, args: tuple, kwargs: dict[str, Any]) -> Any:
         return ATTRIBUTES[attribute](type(args[0]) is Pretended)
     name = getattr(func, "__name__", "")
     with torch._C.DisableTorchFunctionSubclass():
+        if name == "__get__":
+            result = func(*args)
+            return _pretended(result) if type(args[0]) is Pretended else result
         if name in TRANSFERS:
             return _transferred(name, func, args, kwargs)
         found = _tensors((*args, *kwargs.values()))
@@ -181,5 +184,6 @@ def _refuse_assignment(changed: Tensor, index: Any, value: Any) -> None:
     _refuse_index(changed, index)
     parts = index if isinstance(index, tuple) else (index,)
     by_table = any(isinstance(each, list | Tensor) for each in parts)
-    if by_table and isinstance(value, Tensor) and value.dim() > 0:
+    mixed = type(value) is not type(changed)
+    if by_table and mixed and isinstance(value, Tensor) and value.dim() > 0:
         _refuse_mixture([(changed, True), (value, True)])

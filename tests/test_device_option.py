@@ -101,6 +101,7 @@ def test_a_recording_is_followed_and_viewed(job, device):
         assert float(agrees.double().mean()) > 0.5
 
 
+@pytest.mark.slow
 def test_a_comparison_is_written(job):
     options = ("--no-estimate",)
     away = run("calibrate", job, *options)

@@ -80,15 +80,18 @@ def assert_same_calibration(job: Job, device: torch.device, *, estimate: bool = 
         assert_allclose(item.mesh.bounds, other.mesh.bounds, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_base_and_object_of_a_hand_held_sensor(device, crate):
     job = recordings.hand_held(TINY, [EYE], error=OFF)
     assert_same_calibration(replace(job, objects={"crate": prior(0.02, 0.02)}), device)
 
 
+@pytest.mark.slow
 def test_base_mount_and_joints_of_a_robot(device, carried):
     assert_same_calibration(carried, device)
 
 
+@pytest.mark.slow
 def test_what_was_pushed_and_what_was_added(device, crate):
     meshes = recordings.room()
     real = {
