@@ -48,13 +48,10 @@ class PretendedCuda(TorchFunctionMode):
 
 def _called(func: Callable, args: tuple, kwargs: dict[str, Any]) -> Any:
     """What a function of torch answers, or what it raises, if there is a GPU."""
-    if (attribute := getattr(func, "__self__", None)) in ATTRIBUTES:
-        return ATTRIBUTES[attribute](type(args[0]) is Pretended)
     name = getattr(func, "__name__", "")
+    if name == "__get__":
+        return _attribute(func, *args)
     with torch._C.DisableTorchFunctionSubclass():
-        if name == "__get__":
-            result = func(*args)
-            return _pretended(result) if type(args[0]) is Pretended else result
         if name in TRANSFERS:
             return _transferred(name, func, args, kwargs)
         found = _tensors((*args, *kwargs.values()))
@@ -81,6 +78,15 @@ ATTRIBUTES: dict[Any, Callable[[bool], Any]] = {
     Tensor.is_cuda: lambda on_cuda: on_cuda,
     Tensor.is_cpu: lambda on_cuda: not on_cuda,
 }
+
+
+def _attribute(get: Callable, tensor: Tensor, *kind: type) -> Any:
+    on_cuda, attribute = type(tensor) is Pretended, getattr(get, "__self__", None)
+    if attribute in ATTRIBUTES:
+        return ATTRIBUTES[attribute](on_cuda)
+    with torch._C.DisableTorchFunctionSubclass():
+        result = get(tensor, *kind)
+        return _pretended(result) if on_cuda else result
 
 
 def _transferred(name: str, func: Callable, args: tuple, kwargs: dict[str, Any]) -> Tensor:
