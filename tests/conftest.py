@@ -1,11 +1,13 @@
 """Fixtures that every test may use."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
 import kinematic_jobs
 import pytest
 import torch
+from pretended_cuda import CUDA, PretendedCuda
 
 from torchcal.model.job import Job
 
@@ -34,12 +36,16 @@ def shared() -> Path:
     return SHARED
 
 
-@pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
-def device(request: pytest.FixtureRequest) -> torch.device:
-    """Every device that is there."""
-    if request.param == "cuda" and not torch.cuda.is_available():
+@pytest.fixture(params=["pretended", pytest.param("cuda", marks=pytest.mark.gpu)])
+def device(request: pytest.FixtureRequest) -> Iterator[torch.device]:
+    """A GPU: a pretended one on every machine, and the real one where there is one."""
+    if request.param == "pretended":
+        with PretendedCuda():
+            yield CUDA
+    elif torch.cuda.is_available():
+        yield torch.device("cuda", 0)
+    else:
         pytest.skip("needs a CUDA device")
-    return torch.device(request.param)
 
 
 @pytest.fixture

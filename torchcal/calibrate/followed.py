@@ -97,7 +97,7 @@ class Followed:
     def _refuse_elsewhere(self, passed: Passed, line: Mapping[str, Any]) -> None:
         """Raises unless the job puts the sensor where the line says, which the images do not."""
         said = passed.state.new_tensor(line["T_world_sensor"]).cpu().double()
-        parameters = self._parameters_at(self.recording.files[passed.index].blank())
+        parameters = self._parameters_at(self.recording.blank(passed.index))
         found = parameters.sensor_poses(passed.state)[0].cpu().double()
         if not float((found - said).abs().max()) <= ELSEWHERE:
             raise self._other(
@@ -113,13 +113,12 @@ class Followed:
 
     def place(self, passed: Passed) -> FramePlace:
         """Where everything was."""
-        file = self.recording.files[passed.index]
-        parameters = self._parameters_at(file.blank())
+        parameters = self._parameters_at(self.recording.blank(passed.index))
         Ts = parameters.mechanism.at(passed.state).Ts_world_body[0].double().cpu()
         J = parameters.pose_jacobians(passed.state)[0]
         bodies = zip(self.scene.bodies, Ts, strict=True)
         return FramePlace(
-            name=file.name,
+            name=self.recording.files[passed.index].name,
             T_world_sensor=parameters.sensor_poses(passed.state)[0].double().cpu(),
             pose_covariance=gaussian.moved_covariance(passed.covariance, J).double().cpu(),
             Ts_world_link={body.link: T for body, T in bodies if body.link is not None},
@@ -138,7 +137,7 @@ class Followed:
         return self.parameters.at(frame, self.parameters.nominal[BASE])
 
     def _frame(self, index: int) -> Frame:
-        blank = self.recording.files[index].blank()
+        blank = self.recording.blank(index)
         try:
             frame = usable_frame(self.recording.frame(index), self.job)
         except JobError:

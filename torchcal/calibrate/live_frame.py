@@ -12,10 +12,13 @@ def only_frame(job: Job) -> Job:
     """The job with one frame without an image, at its first nominal pose and joint values of 0."""
     given = job.frames[0].T_world_sensor if job.frames else None
     shape = job.sensor.projection.height, job.sensor.projection.width
-    blank = torch.full(shape, torch.nan)
+    count, device = len(job.robot.joint_names) if job.robot else 0, job.T_world_base.device
+    blank = torch.full(shape, torch.nan, device=device)
+    usable = torch.zeros(shape, dtype=torch.bool, device=device)
+    joints = torch.zeros(count, dtype=torch.float64, device=device)
     frame = Frame(
-        image=RangeImage(name="", file="", range=blank, usable=torch.zeros(shape).bool()),
-        joints=None if job.robot is None else torch.zeros(len(job.robot.joint_names)).double(),
+        image=RangeImage(name="", file="", range=blank, usable=usable),
+        joints=None if job.robot is None else joints,
         T_world_sensor=job.T_world_base if given is None and job.robot is None else given,
     )
     return replace(job, frames=(frame,))

@@ -131,7 +131,7 @@ def _curvatures(refined: Refined, seen: _Directions) -> Float[Tensor, " directio
     round one, adds to the information and not to the curvature of the cost. The weakest directions
     live on it most: a cylinder's turn about its axis is told by nothing else.
     """
-    everything = torch.arange(len(seen.told))
+    everything = torch.arange(len(seen.told), device=seen.told.device)
     together = _curvature(refined, seen, everything)
     weak = (seen.told > WELL_TOLD**2).nonzero()[:, 0][:ALONE]
     found = torch.full_like(seen.told, together)

@@ -4,9 +4,11 @@ Both sides speak of the same things in the same units, so eq. 6 can compare them
 image cannot tell is NaN, and its standard deviation infinite.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import TypeVar
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -78,3 +80,25 @@ class Features:
     planes: Planes
     lines: Lines
     vertices: Vertices
+
+    def to(self, device: str | torch.device) -> "Features":
+        """On another device."""
+        return Features(
+            planes=_on(self.planes, device),
+            lines=_on(self.lines, device),
+            vertices=_on(self.vertices, device),
+        )
+
+
+Part = TypeVar("Part", Planes, Lines, Vertices)
+
+
+def _on(part: Part, device: str | torch.device) -> Part:
+    moved = {}
+    for field in fields(part):
+        values = getattr(part, field.name)
+        several = isinstance(values, tuple)
+        moved[field.name] = (
+            tuple(each.to(device) for each in values) if several else values.to(device)
+        )
+    return replace(part, **moved)

@@ -71,10 +71,14 @@ class Recording:
         """
         return _frame_to(self.files[index].read(), self.dtype, self.device)
 
+    def blank(self, index: int) -> Frame:
+        """One frame before its image is taken."""
+        return _frame_to(self.files[index].blank(), self.dtype, self.device)
+
     def planned(self) -> Job:
         """The job before its images are taken: they are blank and need not be there."""
-        frames = (_frame_to(each.blank(), self.dtype, self.device) for each in self.files)
-        return replace(self.job, frames=tuple(frames))
+        frames = tuple(self.blank(k) for k in range(len(self.files)))
+        return replace(self.job, frames=frames)
 
 
 def read_recording(

@@ -35,16 +35,17 @@ def image_features(
         mask: Pixels that may be used; None: all.
 
     Returns:
-        The elements with the covariances that the noise gives them (eq. 8).
+        The elements with the covariances that the noise gives them (eq. 8), on the image's device.
     """
     image = prepared(range_image, sensor, mask)
     blocks = in_blocks(image)
     jumping = image_jumps(image, blocks)
     planar = _planar(image, blocks, jumping)
     lines = image_lines(image, blocks, planar, jumping)
-    return Features(
+    found = Features(
         planes=image_planes(image, blocks, planar), lines=lines, vertices=image_vertices(lines)
     )
+    return found.to(range_image.device)
 
 
 def image_labels(
@@ -54,7 +55,7 @@ def image_labels(
     image = prepared(range_image, sensor, mask)
     blocks = in_blocks(image)
     planar = _planar(image, blocks, image_jumps(image, blocks))
-    return torch.from_numpy(explained(image, planar))
+    return torch.from_numpy(explained(image, planar)).to(range_image.device)
 
 
 def _planar(image: Image, blocks: Blocks, jumping: list[Found]) -> Planar:

@@ -18,7 +18,7 @@ from torchcal.model.sensor import Sensor
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Image:
-    """A range image with what every step needs of it."""
+    """A range image with what every step needs of it: on the CPU, where elements are found."""
 
     range: Float[Tensor, "h w"]
     """m; 1 where nothing was measured."""
@@ -53,6 +53,7 @@ FILLED = 0.5
 
 def prepared(range_image: Tensor, sensor: Sensor, mask: Tensor | None) -> Image:
     """Rays and noise of all pixels; pixels without a measurement are marked."""
+    range_image, mask = range_image.cpu(), None if mask is None else mask.cpu()
     measured = range_image.isfinite() & (range_image >= sensor.near) & (range_image <= sensor.far)
     valid = measured if mask is None else measured & mask
     image = torch.where(valid, range_image, 1.0).to(torch.float64)
