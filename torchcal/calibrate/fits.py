@@ -19,6 +19,7 @@ from torchcal.calibrate.refine import (
     coarse_fit,
     fine_factor,
     fine_fit,
+    widely_fitted,
 )
 from torchcal.calibrate.rivals import Look, is_rival
 from torchcal.calibrate.search import candidate_states, states_are_apart
@@ -74,18 +75,29 @@ def _best(
     coarse: Observation, scene: Scene, parameters: Parameters, candidates: Tensor, tick: Tick
 ) -> Choice:
     fit, solution = coarse_fit(coarse, scene.surface, parameters, candidates, tick)
-    scores = solution.equations.cost.nan_to_num(torch.inf) / coarse.measured.sum().clamp(min=1)
-    order = scores.argsort().tolist()
-    best = solution.state[order[0]]
-    apart = [i for i in order[1:] if states_are_apart(solution.state[i], best, parameters)]
+    costs = solution.equations.cost.nan_to_num(torch.inf)
+    states, costs = _apart_from_first(solution.state, costs, parameters)
+    states, costs = _apart_from_first(*widely_fitted(fit, states, costs), parameters)
+    scores = (costs / coarse.measured.sum().clamp(min=1)).tolist()
     # Most often there is nothing else to look at.
-    look = Look.of(fit, best) if apart else None
+    look = Look.of(fit, states[0]) if len(states) > 1 else None
     rivals = tuple(
-        (solution.state[i], float(scores[i]))
-        for i in apart
-        if look is not None and is_rival(fit, solution.state[i], look)
+        (state, score)
+        for state, score in zip(states[1:], scores[1:], strict=True)
+        if look is not None and is_rival(fit, state, look)
     )
-    return Choice(state=best, score=float(scores[order[0]]), rivals=rivals)
+    return Choice(state=states[0], score=scores[0], rivals=rivals)
+
+
+def _apart_from_first(
+    states: Float[Tensor, "state slot 4 4"], costs: Float[Tensor, " state"], parameters: Parameters
+) -> tuple[Float[Tensor, "kept slot 4 4"], Float[Tensor, " kept"]]:
+    """The state of least cost and those that are apart from it, in the order of their costs."""
+    order = costs.argsort()
+    states, costs = states[order], costs[order]
+    apart = [states_are_apart(state, states[0], parameters) for state in states[1:]]
+    kept = torch.tensor([True, *apart], device=costs.device)
+    return states[kept], costs[kept]
 
 
 def fit_pixels(

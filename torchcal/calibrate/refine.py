@@ -29,6 +29,9 @@ ITERATIONS = 10
 """Most steps of each final fit."""
 TOLERANCE = 0.1
 """Shortest step of the final fits, in standard deviations: less cannot be seen in the result."""
+WIDE = (1000.0, 60.0)
+"""Cut-offs (standard deviations) of first fits: of what stands many pixels elsewhere only the
+outline tells where it is, and every pixel there is an outlier to a narrow cut-off."""
 LONGEST = 10.0
 """Most that a step is lengthened: real models are themselves noisy, and so are their slopes."""
 LARGEST_DRIFT = 0.5
@@ -82,6 +85,29 @@ def coarse_fit(
         states = solution.state
     assert solution is not None, "there are two rounds"
     return fit, solution
+
+
+def widely_fitted(
+    fit: RangeFit, states: Float[Tensor, "candidate slot 4 4"], costs: Float[Tensor, " candidate"]
+) -> tuple[Float[Tensor, "candidate slot 4 4"], Float[Tensor, " candidate"]]:
+    """States after fits with wide cut-offs and then the fit's own, where its cost is lower there.
+
+    Args:
+        fit: The images.
+        states: Where to start.
+        costs: Of the fit there.
+    """
+    config = GaussNewtonConfig(iterations=ITERATIONS, ripple=RIPPLE, longest=LONGEST)
+    found = states
+    for cutoff in (*WIDE, fit.cutoff):
+        evaluate = shared(replace(fit, cutoff=cutoff).evaluate)
+        solution = minimise(evaluate, fit.parameters.retract, found, config)
+        found = solution.state
+    better = solution.equations.cost < costs
+    return (
+        torch.where(better[:, None, None, None], found, states),
+        torch.where(better, solution.equations.cost, costs),
+    )
 
 
 def fit_cutoff(fit: RangeFit, state: Float[Tensor, "slot 4 4"]) -> float:
