@@ -35,7 +35,8 @@ def main() -> None:
         job = torchcal.read_recording(options.job).planned()
         found = torchcal.foresee(job, generator=torch.Generator().manual_seed(options.seed))
     except torchcal.TorchcalError as error:
-        sys.exit(str(error))
+        print(error, file=sys.stderr)
+        sys.exit(2)  # as torchcal itself: the job cannot be read
     if options.json:
         print(as_json(without_nan(as_data(found))))
         return
