@@ -45,8 +45,8 @@ def main() -> None:
         scale, unit = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "1": (1e3, "per mille")}[each.unit]
         before, after = scale * each.prior_sigma, scale * each.expected_sigma
         print(f"{each.name:<28} {before:>12.4g} {after:>12.4g} {unit}")
-    for direction in found.unobservable:
-        print(direction.words)
+    for words in dict.fromkeys(each.words for each in found.unobservable):
+        print(words)
     if found.next_view is not None:
         print(f"one more image would tell most from: {next_view_words(found.next_view)}")
 

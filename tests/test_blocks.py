@@ -134,8 +134,8 @@ def test_an_unseen_object_is_unobservable(arm_job, rng):
     job = replace(arm_job, world=world, objects={"hidden": prior()})
     calibration = calibrate(draw_trial(job, 5, 0).job, generator=rng)
     assert calibration.estimate.status == Status.UNOBSERVABLE
-    words = " ".join(each.words for each in calibration.estimate.unobservable)
-    assert "a shift of object hidden along x" in words
+    words = {each.words for each in calibration.estimate.unobservable}
+    assert "the whole pose of object hidden cannot be told from these images" in words
     assert calibration.update.verdicts["hidden"].verdict == "unseen"
 
 

@@ -30,6 +30,10 @@ AGREEING = 3.0
 """Standard deviations of the declared noise within which a pixel agrees with a pose."""
 CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
+NOTHING_TOLD = (
+    "No measured pixel could be compared with the model, and everything that is given comes from "
+    "the prior: is the nominal pose right, and is the model where the sensor looks?"
+)
 OWN_ERRORS = 0.8
 """With more independent pixels than this share of all, nobody needs to be told of them."""
 
@@ -180,6 +184,8 @@ def _status_of_nominal(
 
 
 def _message(status: Status, rivals: int, belief: Belief) -> str:
+    if belief.used_pixels == 0 and status != Status.CONVERGED:
+        return NOTHING_TOLD
     return {
         Status.CONVERGED: "The model explains the images and the estimated pose can be used"
         f"{worth_words(belief)}.",

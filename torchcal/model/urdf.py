@@ -38,10 +38,10 @@ def write_urdf(
     """Writes the robot's URDF with where its base stands, its joints are 0 and its sensor is.
 
     The tree stays as it was, and limits, soft limits and reference positions move with the zero of
-    their joint; axes that are not of length 1, which programs read differently, become so. New are a root link
-    ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the old root, and
-    a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files are copied to
-    ``meshes`` beside the file, with the materials and images that they name.
+    their joint; axes that are not of length 1, which programs read differently, become so. New are
+    a root link ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the
+    old root, and a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files
+    are copied to ``meshes`` beside the file, with the materials and images that they name.
 
     Args:
         robot: As ``load_robot`` read it; its file is read again.
