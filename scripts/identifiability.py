@@ -34,7 +34,8 @@ def main() -> None:
         job = torchcal.read_recording(options.job).planned()
         found = torchcal.foresee(job, generator=torch.Generator().manual_seed(options.seed))
     except torchcal.TorchcalError as error:
-        sys.exit(str(error))
+        print(error, file=sys.stderr)
+        sys.exit(2)  # as torchcal itself: the job cannot be read
     if options.json:
         print(json.dumps(torchcal.foresight_dict(found), indent=2))
         return
@@ -42,8 +43,8 @@ def main() -> None:
     for each in found.parameters:
         before, after = each.prior_sigma, each.expected_sigma
         print(f"{each.name:<28} {before:>12.4g} {after:>12.4g} {each.unit}")
-    for direction in found.unobservable:
-        print(direction.words)
+    for words in dict.fromkeys(each.words for each in found.unobservable):
+        print(words)
     if found.next_view is not None:
         print(f"one more image would tell most from: {torchcal.next_view_words(found.next_view)}")
 

@@ -101,6 +101,25 @@ def test_an_object_without_a_covariance_is_not_said_to_have_moved(arm_job):
     assert moved_objects(parameters, belief) == ("beam",)
 
 
+def test_what_no_image_tells_is_no_sign_of_a_move(arm_job):
+    job = replace(arm_job, objects={"crate": prior(0.05, 0.05)})
+    parameters = Parameters.of(job, build_job_scene(job))
+    left = torch.tensor([0.01, 0.9, 0.9, 0.9, 0.9, 0.9], dtype=torch.float64)  # x alone is told
+
+    def moved(*step: float) -> tuple[str, ...]:
+        off = parameters.prior_sigma * torch.tensor(step, dtype=torch.float64)
+        belief = Belief(
+            state=parameters.retract(parameters.nominal, off),
+            covariance=torch.diag((left * parameters.prior_sigma).square()),
+            drift_sigma=0.0,
+            drift_pixels=0.0,
+        )
+        return moved_objects(parameters, belief)
+
+    assert moved(0.0, 9.0, 9.0, 9.0, 0.0, 0.0) == ()
+    assert moved(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) == ("crate",)
+
+
 def test_the_sensors_own_range_error_beside_its_pose(rng):
     job = replace(hand_job(2), base=prior(), range=RangePrior(offset_sigma=0.02, scale_sigma=0.01))
     trial, calibration = found(job, 3, rng)
@@ -134,8 +153,8 @@ def test_an_unseen_object_is_unobservable(arm_job, rng):
     job = replace(arm_job, world=world, objects={"hidden": prior()})
     calibration = calibrate(draw_trial(job, 5, 0).job, generator=rng)
     assert calibration.estimate.status == Status.UNOBSERVABLE
-    words = " ".join(each.words for each in calibration.estimate.unobservable)
-    assert "a shift of object hidden along x" in words
+    words = {each.words for each in calibration.estimate.unobservable}
+    assert "the whole pose of object hidden cannot be told from these images" in words
     assert calibration.update.verdicts["hidden"].verdict == "unseen"
 
 

@@ -44,7 +44,7 @@ def test_a_job_without_its_images_is_foreseen(tmp_path):
 def test_a_mistake_in_the_job_is_one_line(tmp_path):
     file = tiny_job.write(tmp_path, tiny_job.ARM_JOB + "[unknown.object.crat]\n")
     answer = run(str(file))
-    assert answer.returncode == 1
+    assert answer.returncode == 2
     assert "unknown.object.crat" in answer.stderr
     assert "Traceback" not in answer.stderr
 

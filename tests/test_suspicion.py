@@ -10,7 +10,7 @@ from recordings import EYE, twist
 
 from torchcal.calibrate.check import check
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.pipeline import build_job_scene, calibrate
 from torchcal.calibrate.readings import READINGS, misreadings
 from torchcal.calibrate.suspicion import suspicions
 from torchcal.geometry.projection import Pinhole
@@ -55,7 +55,40 @@ def test_a_good_job_is_not_suspected(robot_job):
     assert warnings_of(room_job()) == ()
     # Its two images are the same, and that is said.
     (only,) = suspicions(robot_job)
-    assert "the same, pixel by pixel" in only
+    assert only == (
+        "The images of the frames frame and frame are the same, pixel by pixel, and not the places "
+        "where they were taken: were they mixed up?"
+    )
+
+
+def repeated(job: Job, count: int) -> Job:
+    image = job.frames[0].image
+    frames = [
+        replace(job.frames[0], image=replace(image, name=f"f{k}")) for k in range(1, count + 1)
+    ]
+    return replace(job, frames=tuple(frames))
+
+
+def test_images_that_are_the_same_are_one_warning_that_names_them():
+    job = room_job()
+    same = "are the same, pixel by pixel: only the first of them counts."
+    assert suspicions(repeated(job, 3)) == (f"The images of the frames f1, f2 and f3 {same}",)
+    many = repeated(job, 20)
+    assert suspicions(many) == (f"The images of the frames f1, f2, f3, f4 and 16 others {same}",)
+    (own,) = suspicions(replace(many, frame_poses=recordings.prior()))
+    assert "each counts: sigmas of what they share are too small by that" in own
+
+
+def test_an_image_that_is_there_many_times_tells_as_much_as_one():
+    job = room_job()
+    one, many = (
+        calibrate(each, generator=torch.Generator().manual_seed(0)).estimate
+        for each in (job, repeated(job, 5))
+    )
+    # Starts are drawn anew; were each image counted, it would be a fifth.
+    torch.testing.assert_close(many.covariance, one.covariance, rtol=0.01, atol=0.0)
+    assert many.used_pixels == one.used_pixels
+    assert len(many.Ts_world_sensor) == 5
 
 
 @pytest.mark.parametrize("words", ["left to right", "top to bottom", "half a turn", "rows and col"])

@@ -42,6 +42,18 @@ def test_proposals_shine_through(transaction):
     ]
 
 
+def test_what_is_adjusted_stands_there_once(transaction):
+    verdicts = transaction.update.verdicts
+    wall = replace(verdicts["wall"], verdict="agrees")
+    update = replace(transaction.update, verdicts={**verdicts, "wall": wall})
+    adjusted = Transaction.undecided("job.toml", transaction.world, update)
+    assert [each for each in drawn(adjusted) if each[0] == "wall"] == [
+        ("wall", None, False, float(MOVED[0, 3]))
+    ]
+    rejected = adjusted.decided(reject=["wall"])
+    assert ("wall", None, False, 0.0) in drawn(rejected)
+
+
 def test_accepted_changes_are_drawn_as_the_model(transaction):
     x = float(MOVED[0, 3])
     accepted = transaction.decided(accept=["all"])

@@ -150,6 +150,30 @@ def test_another_program_reads_the_written_urdf(tmp_path: Path):
     torch.testing.assert_close(torch.tensor(found), expected, rtol=0.0, atol=POSE_ATOL)
 
 
+GANTRY = """<robot name="gantry"><link name="foot"/><link name="cart"/><link name="head"/>
+  <joint name="slide" type="prismatic"><parent link="foot"/><child link="cart"/>
+    <origin xyz="0 0 0.1" rpy="0.1 -0.2 0.3"/><axis xyz="1 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="nod" type="revolute"><parent link="cart"/><child link="head"/>
+    <axis xyz="0 0 1.0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_another_program_slides_as_far_along_an_axis_that_was_no_unit_vector(tmp_path: Path):
+    gantry = load_robot(write(tmp_path, GANTRY))
+    out = tmp_path / "out" / "robot.urdf"
+    eye = torch.eye(4, dtype=torch.float64)
+    offsets = {"slide": 0.02}
+    write_urdf(gantry, out, T_world_base=eye, link="head", T_link_sensor=eye, joint_offsets=offsets)
+    assert '<axis xyz="0 0 1.0"' in out.read_text()  # what is a unit vector stays as written
+    other = yourdfpy.URDF.load(str(out), load_meshes=False, build_scene_graph=True)
+    other.update_cfg({"slide": 0.4, "nod": 0.3})
+    found = other.get_transform("torchcal_sensor", "world")
+    poses = gantry.forward_kinematics(torch.tensor([0.42, 0.3], dtype=torch.float64))
+    expected = poses[gantry.link_index("head")]
+    torch.testing.assert_close(torch.tensor(found), expected, rtol=0.0, atol=POSE_ATOL)
+
+
 def test_taken_names_are_not_used_again(tmp_path: Path):
     source = write(tmp_path, '<robot name="r"><link name="world"/></robot>')
     pose = random_pose(1)

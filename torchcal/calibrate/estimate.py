@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.fits import EXPLAINED, Choice
-from torchcal.calibrate.observability import poses_are_told, unobservable_directions
+from torchcal.calibrate.observability import LEFT, poses_are_told, unobservable_directions
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.refine import Refined
 from torchcal.calibrate.reliability import reliability
@@ -26,6 +26,12 @@ from torchcal.model.sensor import Drift, Sensor
 
 CHANCE = 1e-4
 """An object moved if chance alone would put its estimate so far off less often than this."""
+SHARPEST = 1e-9
+"""Least share of the prior's sigma that an estimate can leave."""
+NOTHING_TOLD = (
+    "No measured pixel could be compared with the model, and everything that is given comes from "
+    "the prior: is the nominal pose right, and is the model where the sensor looks?"
+)
 OWN_ERRORS = 0.8
 """With more independent pixels than this share of all, nobody needs to be told of them."""
 
@@ -103,16 +109,21 @@ def estimate_of(
 
 
 def moved_objects(parameters: Parameters, belief: Belief) -> tuple[str, ...]:
-    """The unknown objects that are not where the model has them, by a chi-square test."""
+    """The unknown objects that are not where the model has them, by a chi-square test.
+
+    It asks for the directions that the images tell: in others the prior is all that is known.
+    """
     step = parameters.difference(belief.state, parameters.nominal)
     moved = []
     for name, rows in zip(parameters.object_names, parameters.object_jacobians, strict=True):
         own = rows.any(0)
-        P = belief.covariance[own][:, own]
-        if not own.any() or not P.isfinite().all():
+        sigma = parameters.prior_sigma[own]
+        left, direction = gaussian.left_over(belief.covariance[own][:, own], sigma)
+        told = left <= LEFT  # none where the covariance is not finite
+        if not told.any():
             continue
-        distance = float(step[own] @ torch.linalg.pinv(P, hermitian=True) @ step[own])
-        if chi2.sf(distance, int(own.sum())) < CHANCE:
+        off = (direction[:, told].mT @ (step[own] / sigma)) / left[told].clamp(min=SHARPEST)
+        if chi2.sf(float(off.square().sum()), int(told.sum())) < CHANCE:
             moved.append(name)
     return tuple(moved)
 
@@ -175,6 +186,8 @@ def _status_of_nominal(
 
 
 def _message(status: Status, rivals: int, belief: Belief) -> str:
+    if belief.used_pixels == 0 and status != Status.CONVERGED:
+        return NOTHING_TOLD
     return {
         Status.CONVERGED: "The model explains the images and the estimated pose can be used"
         f"{worth_words(belief)}.",

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
+from torchcal.calibrate.repeats import repeats
 from torchcal.model.job import Job
 from torchcal.model.sensor import Sensor
 from torchcal.render.sharing import JUMP
@@ -57,10 +58,16 @@ class Observation:
 
 
 def observe(job: Job, *, dtype: torch.dtype = torch.float32) -> Observation:
-    """The job's images at full resolution, without the pixels at depth jumps of sharp sensors."""
+    """The job's images at full resolution, without the pixels at depth jumps of sharp sensors.
+
+    An image that is there several times, taken from the same place, is measured once.
+    """
     ranges = torch.stack([frame.image.range for frame in job.frames]).to(dtype)
     usable = torch.stack([frame.image.usable for frame in job.frames])
-    return observed(ranges, usable, job.sensor)
+    observation = observed(ranges, usable, job.sensor)
+    again = torch.zeros_like(observation.measured)
+    again[list(repeats(job))] = True
+    return observation.without(again)
 
 
 def observed(

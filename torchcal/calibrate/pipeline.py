@@ -5,8 +5,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import locate
-from torchcal.calibrate.compare import Belief, compare
+from torchcal.calibrate.compare import Belief, compare, compare_as_believed
 from torchcal.calibrate.estimate import belief_after, estimate_of, nominal_belief
+from torchcal.calibrate.excused import excused_objects, told_nothing_of
 from torchcal.calibrate.fits import Choice, choose_found, choose_start, fit_pixels, fit_rest
 from torchcal.calibrate.foresight import next_view
 from torchcal.calibrate.observation import grown
@@ -57,6 +58,8 @@ def calibrate(
         belief, choice = _estimated(job, scene, parameters, generator, bases, stages)
     with stages.stage("compare", rounds=ONCE):
         belief, comparisons = compare(job, scene, parameters, belief, stages.tick)
+        if choice is not None:
+            belief, comparisons = _without_excuses(job, scene, parameters, belief, comparisons)
     result = estimate_of(job.sensor, parameters, belief, choice, comparisons)
     with stages.stage("update"):
         update = revise(job, scene, parameters, belief, comparisons, result, generator)
@@ -123,6 +126,21 @@ def _estimated(
     with stages.stage("fit the rest"):
         refined = fit_rest(job, scene, parameters, refined, differing, stages.tick)
         return belief_after(refined, slow_error(refined)), choice
+
+
+def _without_excuses(
+    job: Job,
+    scene: Scene,
+    parameters: Parameters,
+    belief: Belief,
+    comparisons: tuple[FrameComparison, ...],
+) -> tuple[Belief, tuple[FrameComparison, ...]]:
+    """The same, with nothing told of the objects that the images do not bear out."""
+    excused = excused_objects(job.sensor, scene, parameters, belief, comparisons)
+    if not excused:
+        return belief, comparisons
+    belief = told_nothing_of(excused, parameters, belief)
+    return belief, compare_as_believed(job, scene, parameters, belief)
 
 
 def _differing_pixels(

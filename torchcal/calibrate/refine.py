@@ -98,15 +98,19 @@ def widely_fitted(
         costs: Of the fit there.
     """
     config = GaussNewtonConfig(iterations=ITERATIONS, ripple=RIPPLE, longest=LONGEST)
+
+    def fitted(cutoff: float, starts: Tensor) -> Solution:
+        evaluate = replace(fit, cutoff=cutoff).evaluate
+        return minimise(shared(evaluate), fit.parameters.retract, starts, config)
+
     found = states
-    for cutoff in (*WIDE, fit.cutoff):
-        evaluate = shared(replace(fit, cutoff=cutoff).evaluate)
-        solution = minimise(evaluate, fit.parameters.retract, found, config)
-        found = solution.state
-    better = solution.equations.cost < costs
+    for cutoff in WIDE:
+        found = fitted(cutoff, found).state
+    last = fitted(fit.cutoff, found)
+    better = last.equations.cost < costs
     return (
-        torch.where(better[:, None, None, None], found, states),
-        torch.where(better, solution.equations.cost, costs),
+        torch.where(better[:, None, None, None], last.state, states),
+        torch.where(better, last.equations.cost, costs),
     )
 
 

@@ -162,7 +162,7 @@ class ObjectVerdict:
     seen_through: int
     hidden: int
     T_world_object: Float[Tensor, "4 4"] | None = None
-    """Where it is now, if it moved."""
+    """Where it is now, if it moved, or if its pose was unknown and was estimated elsewhere."""
     frames: tuple[str, ...] = ()
     """Those that say so: that see through it if it was removed, else that show it."""
 
@@ -195,6 +195,8 @@ class Change(StrEnum):
 
     REMOVE = "remove"
     MOVE = "move"
+    ADJUST = "adjust"
+    """To where it was estimated, which by chance alone may be where the model has it."""
     ADD = "add"
 
 
@@ -218,7 +220,7 @@ class Update:
 
     @property
     def proposals(self) -> tuple[Proposal, ...]:
-        """Every change of the model: objects removed and moved, then those added."""
+        """Every change of the model: objects removed, moved and adjusted, then those added."""
         changed = [
             Proposal(name=name, change=change, evidence=evidence, frames=verdict.frames)
             for name, verdict in self.verdicts.items()
@@ -236,9 +238,10 @@ def _changes(verdict: ObjectVerdict) -> list[tuple[Change, Evidence]]:
     through, agree, hidden = verdict.seen_through, verdict.agree, verdict.hidden
     if verdict.verdict is Verdict.REMOVED:
         return [(Change.REMOVE, Evidence(supporting=through, contradicting=agree, hidden=hidden))]
+    there = Evidence(supporting=agree, contradicting=through, hidden=hidden)
     if verdict.verdict is Verdict.MOVED:
-        return [(Change.MOVE, Evidence(supporting=agree, contradicting=through, hidden=hidden))]
-    return []
+        return [(Change.MOVE, there)]
+    return [] if verdict.T_world_object is None else [(Change.ADJUST, there)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

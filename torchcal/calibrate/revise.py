@@ -20,6 +20,8 @@ from torchcal.calibrate.update import added_objects, object_verdicts
 from torchcal.model.job import Job
 from torchcal.model.scene import Scene, without_bodies
 
+SAME_PLACE = 1e-9
+"""m and parts of a rotation: what rounding adds to a pose."""
 CONTRADICTED = 0.1
 """Largest share of a moved object's pixels that may see through it where it is said to be."""
 
@@ -59,8 +61,9 @@ def revise(
         if not wrong:
             break
         places = {name: T for name, T in places.items() if name not in wrong}
+    verdicts = {name: second[name] if name in places else first[name] for name in first}
     return Update(
-        verdicts={name: second[name] if name in places else first[name] for name in first},
+        verdicts={name: _adjusted(each, name, job, estimate) for name, each in verdicts.items()},
         added=added_objects(job, again.comparisons, again.regions, estimate.Ts_world_sensor),
     )
 
@@ -78,6 +81,19 @@ def _verdicts(looked: Looked, moved: Mapping[str, Tensor]) -> dict[str, ObjectVe
     return object_verdicts(
         looked.job, looked.comparisons, looked.regions, looked.scene.bodies, moved
     )
+
+
+def _adjusted(verdict: ObjectVerdict, name: str, job: Job, estimate: Estimate) -> ObjectVerdict:
+    """An object of unknown pose that is still there, where it was estimated.
+
+    The sensor's pose was estimated together with it: the model would contradict it elsewhere.
+    """
+    T = estimate.Ts_world_object.get(name)
+    if T is None or job.world is None or verdict.verdict not in (Verdict.AGREES, Verdict.UNSEEN):
+        return verdict
+    (nominal,) = (item.T_world_object for item in job.world.objects if item.name == name)
+    differs = float((T - nominal.to(T)).abs().max()) > SAME_PLACE
+    return replace(verdict, T_world_object=T) if differs else verdict
 
 
 def _removed(verdicts: Mapping[str, ObjectVerdict]) -> list[str]:

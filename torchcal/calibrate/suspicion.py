@@ -1,10 +1,9 @@
 """What looks wrong in a job that could be read, before any image is compared with the model."""
 
-import itertools
-
 import torch
 import trimesh
 
+from torchcal.calibrate.repeats import is_same_place, repeats, same_images
 from torchcal.geometry import se3
 from torchcal.model.job import Job
 from torchcal.model.robot import Robot
@@ -12,6 +11,8 @@ from torchcal.model.world import World
 
 FAR_APART = 300.0
 """So many times the sensor's reach is more than any place to calibrate in."""
+NAMED = 4
+"""Frames with the same image that are named; of more, only the number is."""
 BEYOND = 1e-6
 """rad or m: what rounding may add to a limit."""
 
@@ -83,11 +84,19 @@ def _still_joints(job: Job) -> tuple[str, ...]:
 
 
 def _repeated(job: Job) -> tuple[str, ...]:
-    """Frames whose image is that of the frame before."""
-    images = [frame.image for frame in job.frames]
-    return tuple(
-        f"The images of the frames {one.name} and {other.name} are the same, pixel by pixel."
-        for one, other in itertools.pairwise(images)
-        if one.range.shape == other.range.shape
-        and torch.equal(one.range.nan_to_num(), other.range.nan_to_num())
-    )
+    """Frames with the same image."""
+    again = set(repeats(job))
+    return tuple(_repeated_words(job, group, again) for group in same_images(job))
+
+
+def _repeated_words(job: Job, group: tuple[int, ...], again: set[int]) -> str:
+    names = [job.frames[k].image.name for k in group]
+    told = ", ".join(names[:NAMED]) if len(names) > NAMED + 1 else ", ".join(names[:-1])
+    last = f"{len(names) - NAMED} others" if len(names) > NAMED + 1 else names[-1]
+    same = f"The images of the frames {told} and {last} are the same, pixel by pixel"
+    first = job.frames[group[0]]
+    if not all(is_same_place(first, job.frames[k]) for k in group):
+        return f"{same}, and not the places where they were taken: were they mixed up?"
+    if again.issuperset(group[1:]):
+        return f"{same}: only the first of them counts."
+    return f"{same}, and each counts: sigmas of what they share are too small by that."

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from torchcal.cli.batch_job import run_job
 from torchcal.cli.commands import INTERRUPTED, NOT_USABLE, UNREADABLE, USABLE, device, line
+from torchcal.cli.console import write
 from torchcal.cli.options import Batch
 from torchcal.cli.output import input_files
 from torchcal.cli.progress import progress
@@ -45,7 +46,7 @@ def run_batch(command: Batch, out: Console, err: Console) -> int:
         parquet = _write(command, rows)
     if command.options.json:
         found = {"jobs": table.cells(rows, command.robot)}
-        out.file.write(as_json(found) + "\n")
+        write(out, as_json(found) + "\n")
     else:
         _tell(command, rows, (len(before), len(outdated & ended.keys())), parquet, out)
     return _status(rows, interrupted)

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from torchcal.calibrate import calibrate, check, predict
 from torchcal.calibrate.result import Calibration, Status
+from torchcal.cli.console import write
 from torchcal.cli.demo_table import demo_table
 from torchcal.cli.options import Calibrate, Check, Demo, Options, Render
 from torchcal.cli.output import input_files, replaced_folder
@@ -143,4 +144,4 @@ def line(out: Console, words: str) -> None:
 
 def print_json(data: dict, out: Console) -> None:
     """Exactly the JSON, without colours or line breaks of our own."""
-    out.file.write(as_json(data) + "\n")
+    write(out, as_json(data) + "\n")

@@ -13,6 +13,7 @@ from torchcal.calibrate.follow import follow
 from torchcal.calibrate.tracked import Tracked, TrackStatus
 from torchcal.calibrate.wander import Wander
 from torchcal.cli.commands import NOT_USABLE, USABLE, device, generator, line
+from torchcal.cli.console import write
 from torchcal.cli.options import Follow
 from torchcal.cli.output import FRAMES, input_files, replaced_folder
 from torchcal.cli.progress import progress
@@ -36,8 +37,7 @@ def run_follow(command: Follow, out: Console, err: Console) -> int:
                 file.write(text)
                 file.flush()
                 if command.options.json:
-                    out.file.write(text)
-                    out.file.flush()
+                    write(out, text)
                 report("follow", len(taken) / len(recording.files))
         text = as_json(summary_dict(taken))
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from torchcal.cli.commands import USABLE, line
+from torchcal.cli.console import write
 from torchcal.cli.options import Import
 from torchcal.cli.output import replaced_folder
 from torchcal.cli.progress import progress
@@ -32,7 +33,7 @@ def run_import(command: Import, out: Console, err: Console) -> int:
         report("import", 1.0)
     job = command.out / imported.job.name
     if command.options.json:
-        out.file.write(as_json(_as_dict(imported, job)) + "\n")
+        write(out, as_json(_as_dict(imported, job)) + "\n")
     else:
         _tell(imported, job, out)
     return USABLE

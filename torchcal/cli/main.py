@@ -11,6 +11,7 @@ from rich.console import Console
 
 from torchcal.cli import commands
 from torchcal.cli.batch import run_batch
+from torchcal.cli.console import Speaker
 from torchcal.cli.follow import run_follow
 from torchcal.cli.import_recording import run_import
 from torchcal.cli.options import (
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         SystemExit: For ``--help`` and for what the command line does not know.
     """
     command = parse(arguments)
-    out, err = Console(), Console(stderr=True)
+    out, err = Speaker(), Speaker(stderr=True)
     try:
         return _runner(command)(command, out, err)
     except (TorchcalError, OSError) as error:

@@ -13,6 +13,7 @@ from torchcal.calibrate.check_result import (
     JobCheck,
     ParameterCheck,
 )
+from torchcal.calibrate.observability import sentences
 from torchcal.calibrate.result import (
     Calibration,
     Status,
@@ -61,7 +62,7 @@ def check_view(check: JobCheck) -> Group:
     parts: list[RenderableType] = [_frame_check_table(check.frames)]
     if check.parameters:
         parts.append(_parameter_table(check.parameters))
-    parts += [_direction(direction) for direction in check.unobservable]
+    parts += _open_ends(check.unobservable)
     of_frames = [f"{frame.name}: {words}" for frame in check.frames for words in frame.warnings]
     return Group(*parts, *_warnings([*check.warnings, *of_frames]))
 
@@ -95,8 +96,7 @@ def _correction_table(pose: Correction) -> Table:
 def _doubts(calibration: Calibration) -> Iterator[Text]:
     """What could not be known."""
     estimate = calibration.estimate
-    for direction in estimate.unobservable:
-        yield _direction(direction)
+    yield from _open_ends(estimate.unobservable)
     for other in estimate.alternatives:
         place = distance_words(estimate.Ts_world_sensor[0], other.Ts_world_sensor[0])
         words = f"another pose explains the images nearly as well: {place}"
@@ -106,8 +106,8 @@ def _doubts(calibration: Calibration) -> Iterator[Text]:
         yield Text(words, style="yellow")
 
 
-def _direction(direction: UnobservableDirection) -> Text:
-    return Text(direction.words, style="yellow")
+def _open_ends(directions: Sequence[UnobservableDirection]) -> list[Text]:
+    return [Text(words, style="yellow") for words in sentences(directions)]
 
 
 def _frame_table(calibration: Calibration) -> Table:

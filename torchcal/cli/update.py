@@ -24,6 +24,7 @@ STYLES: dict[Decision, str] = {
 SUPPORT: dict[Change, str] = {
     Change.REMOVE: "seen through",
     Change.MOVE: "seen there",
+    Change.ADJUST: "seen there",
     Change.ADD: "measured",
 }
 """What the pixels for a change show."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from PIL import Image
 
 from torchcal.calibrate.decisions import Transaction
+from torchcal.calibrate.observability import sentences
 from torchcal.calibrate.result import Calibration, FrameComparison, PixelClass, Status
 from torchcal.calibrate.update import LEAST_EVIDENCE
 from torchcal.display.colours import CLASS_COLOURS, CLASS_WORDS
@@ -91,7 +92,7 @@ def report(calibration: Calibration, pictures: Mapping[int, FramePictures]) -> s
         corrections=corrections(calibration),
         next_view=next_view_words(calibration.next_view),
         next_rows=next_view_rows(calibration),
-        unobservable=[direction.words for direction in estimate.unobservable],
+        unobservable=sentences(estimate.unobservable),
         alternatives=[
             (distance_words(here, other.Ts_world_sensor[0]), other.score)
             for other in estimate.alternatives

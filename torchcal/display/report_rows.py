@@ -28,6 +28,7 @@ MOST_LEFT = 8
 FOR: dict[Change, str] = {
     Change.REMOVE: "see through the place where it should be",
     Change.MOVE: "show it at its new place",
+    Change.ADJUST: "show it where it was estimated",
     Change.ADD: "show it",
 }
 """What the pixels that speak for a change do."""
@@ -35,6 +36,7 @@ FOR: dict[Change, str] = {
 AGAINST: dict[Change, str] = {
     Change.REMOVE: "show it where the model has it",
     Change.MOVE: "see through its new place",
+    Change.ADJUST: "see through it there",
     Change.ADD: "see through it",
 }
 """What the pixels that speak against a change do."""

@@ -22,6 +22,8 @@ GIVEN_VALUES = {
     "calibration": ("rising", "falling"),
 }
 """Values of a joint that say nothing where they are left out."""
+ROUNDING = 1e-12
+"""What the length of a unit vector may differ from 1."""
 
 
 def write_urdf(
@@ -36,10 +38,10 @@ def write_urdf(
     """Writes the robot's URDF with where its base stands, its joints are 0 and its sensor is.
 
     The tree stays as it was, and limits, soft limits and reference positions move with the zero of
-    their joint. New are a root link
-    ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the old root, and
-    a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files are copied to
-    ``meshes`` beside the file, with the materials and images that they name.
+    their joint; axes that are not of length 1, which programs read differently, become so. New are
+    a root link ``world`` (``torchcal_world`` where that name is taken) with a fixed joint to the
+    old root, and a link ``torchcal_sensor`` fixed to the link that carries the sensor. Mesh files
+    are copied to ``meshes`` beside the file, with the materials and images that they name.
 
     Args:
         robot: As ``load_robot`` read it; its file is read again.
@@ -56,6 +58,7 @@ def write_urdf(
     if link != WORLD_LINK:
         robot.link_index(link)
     root = read_xml(robot.file)
+    _set_unit_axes(root)
     for child, motion in robot.joint_motions(joint_offsets or {}).items():
         _shift_joint(root, child, motion)
     copy_files(robot.file, root, MeshFolder(file.parent / "meshes"))
@@ -91,6 +94,15 @@ def _shift_joint(root: ET.Element, child: str, motion: JointMotion) -> None:
     _set_origin(origin, se3.from_xyz_rpy(xyz, rpy) @ motion.T)
     for element, key in _values(joint):
         element.set(key, f"{float(element.get(key, '0')) - motion.value:.17g}")
+
+
+def _set_unit_axes(root: ET.Element) -> None:
+    """Makes axes unit vectors: along a longer one some programs slide farther than the value."""
+    for axis in root.findall("joint/axis"):
+        xyz = torch.tensor([float(x) for x in axis.get("xyz", "1 0 0").split()]).double()
+        length = float(xyz.norm())
+        if length > 0.0 and abs(length - 1.0) > ROUNDING:
+            axis.set("xyz", _digits(xyz / length))
 
 
 def _values(joint: ET.Element) -> Iterator[tuple[ET.Element, str]]:

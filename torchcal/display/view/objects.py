@@ -84,7 +84,8 @@ def _old(item: WorldObject, change: Change | None, transaction: Transaction) -> 
         paint=GONE,
         opacity=GHOST,
     )
-    left = [] if decision == Decision.ACCEPTED else [ghost]
+    # What is adjusted hardly moves: a ghost in the same place would only flicker.
+    left = [] if decision == Decision.ACCEPTED or change == Change.ADJUST else [ghost]
     T = transaction.update.verdicts[item.name].T_world_object
     if change == Change.REMOVE or T is None:
         return left

@@ -19,18 +19,21 @@ VISIBLE = 0.01
 CHANGES: dict[Change, str] = {
     Change.REMOVE: "remove it: the sensor saw through it",
     Change.MOVE: "move it: the images show it elsewhere",
+    Change.ADJUST: "adjust it: its pose was unknown and was estimated here",
     Change.ADD: "add it: it was measured and is not in the model",
 }
 
 SUPPORT: dict[Change, str] = {
     Change.REMOVE: "see through it",
     Change.MOVE: "show it where it was found",
+    Change.ADJUST: "show it where it was estimated",
     Change.ADD: "show it",
 }
 
 AGAINST: dict[Change, str] = {
     Change.REMOVE: "show it where the model has it",
     Change.MOVE: "see through it there",
+    Change.ADJUST: "see through it there",
     Change.ADD: "see through it",
 }
 
