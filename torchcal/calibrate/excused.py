@@ -11,9 +11,9 @@ from dataclasses import replace
 import torch
 
 from torchcal.calibrate.compare import Belief
-from torchcal.calibrate.estimate import AGREEING
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.result import FrameComparison, PixelClass
+from torchcal.geometry import robust
 from torchcal.model.scene import Scene
 from torchcal.model.sensor import Sensor
 
@@ -33,7 +33,7 @@ def excused_objects(
             shown = (frame.body == body) & frame.usable & (frame.label == PixelClass.AGREES)
             noise = sensor.noise.sigma(frame.predicted) * belief.sigma_scale
             noise = torch.hypot(noise, torch.full_like(noise, belief.drift_sigma))
-            close = (frame.measured - frame.predicted).abs() <= AGREEING * noise
+            close = (frame.measured - frame.predicted).abs() <= robust.AGREEING * noise
             near, far = near + int((shown & close).sum()), far + int((shown & ~close).sum())
         if far > near:
             excused.append(name)
