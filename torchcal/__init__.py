@@ -56,6 +56,7 @@ from torchcal.calibrate.result import Proposal as Proposal
 from torchcal.calibrate.result import Status as Status
 from torchcal.calibrate.result import UnobservableDirection as UnobservableDirection
 from torchcal.calibrate.result import Update as Update
+from torchcal.calibrate.result import Verdict as Verdict
 from torchcal.calibrate.result_folder import read_result as read_result
 from torchcal.calibrate.site import Site as Site
 from torchcal.calibrate.tracked import Tracked as Tracked
