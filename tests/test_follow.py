@@ -83,7 +83,7 @@ def test_every_frame_has_a_line_and_bad_ones_a_reason(folder, tmp_path, capsys):
         sigma = torch.tensor(each["position_sigma_m"] + each["rotation_sigma_rad"])
         assert (error.abs() < 5.0 * sigma).all()
     found = json.loads((out / "result.json").read_text())
-    assert found["frames"] == {"tracking": 2, "lost": 0, "unusable": 3}
+    assert found["frames"] == {"tracking": 2, "lost": 0, "ambiguous": 0, "unusable": 3}
     assert (found["status"], found["alarms"]) == ("tracking", [])
     assert found["last"] == taken[-1]
     printed = capsys.readouterr().out
