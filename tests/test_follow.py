@@ -101,6 +101,21 @@ def test_json_prints_the_lines_and_a_lost_camera_is_an_exit_status(folder, tmp_p
     assert main(arguments) == 3  # an earlier result is replaced
 
 
+def test_where_nothing_was_explained_the_last_words_are_advice(folder, tmp_path, capsys):
+    out, file = tmp_path / "out", job(folder, "covered", "gone")
+    advice = f"no frame was explained: torchcal check {file} names mistakes that it finds"
+    assert main(["follow", file, "--out", str(out)]) == 3
+    assert capsys.readouterr().err.splitlines()[-1] == advice
+    assert main(["follow", job(folder, "0", "covered"), "--out", str(out)]) == 3
+    assert "torchcal check" not in capsys.readouterr().err
+
+
+def test_images_that_a_driver_repeats_are_passed_over(folder, tmp_path):
+    out = tmp_path / "out"
+    assert main(["follow", job(folder, "0", "0", "1"), "--out", str(out), *WANDERING]) == 0
+    assert [each["status"] for each in lines(out)] == ["tracking", "unusable", "tracking"]
+
+
 def test_an_alarm_in_the_last_frame_is_an_exit_status(folder, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["follow", job(folder, "0", "1"), "--out", str(out)]) == 3

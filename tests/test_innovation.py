@@ -1,5 +1,7 @@
 """An expectation and an image, joined as Gaussians are, against the formulas of the textbook."""
 
+import math
+
 import pytest
 import torch
 from scipy.stats import chi2
@@ -47,3 +49,15 @@ def test_an_image_that_tells_nothing_changes_nothing():
     joined = innovation(P, torch.zeros(2, 2).double(), torch.zeros(2).double(), P.diagonal().sqrt())
     assert joined.p_value == 1.0
     torch.testing.assert_close(joined.covariance, P)
+
+
+@pytest.mark.parametrize("sigma", [1e-9, 1e-6, 1e-3, 10.0])
+def test_what_is_known_well_can_still_be_contradicted(sigma):
+    P = torch.diag(torch.tensor([sigma, sigma / 10.0]).double().square())
+    information = torch.diag(torch.tensor([1e6, 0.0]).double())  # sigmas of a millimetre
+    apart = 5.0 * math.hypot(sigma, 1e-3)
+    score = information @ torch.tensor([apart, 0.0]).double()
+    joined = innovation(P, information, score, (P.diagonal() + 0.03**2).sqrt())
+    assert joined.p_value == pytest.approx(chi2.sf(25.0, 1), rel=1e-6)
+    variances = torch.tensor([1.0 / (1e6 + sigma**-2), sigma**2 / 100.0]).double()
+    torch.testing.assert_close(joined.covariance, torch.diag(variances))

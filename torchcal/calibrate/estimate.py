@@ -149,10 +149,9 @@ def _status(
 def declared_agreement(
     sensor: Sensor, belief: Belief, comparisons: Sequence[FrameComparison]
 ) -> float:
-    """Share of the compared pixels that agree within the noise that was declared, and what varies
-    slowly, in the worst frame.
+    """Share of the compared pixels, in the worst frame, that agree within the declared noise.
 
-    What P adds to sigma' would excuse everything where nothing is told.
+    What varies slowly adds to that. What P adds to sigma' would excuse everything where nothing is told.
     """
     slow = belief.drift_sigma / belief.sigma_scale
     noise = [

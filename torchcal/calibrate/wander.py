@@ -42,14 +42,14 @@ class Wander:
             if block not in known:
                 raise TorchcalError(f"drift: found {block!r}; expected {choices(known)}")
             named |= dict(_entries(block, entry, is_pose=known[block] != block))
-        return torch.tensor(
+        return parameters.prior_sigma.new_tensor(
             [
                 0.0 if _is_own(name) else named.get(name, share * prior)
                 for name, prior in zip(
                     parameters.names, parameters.prior_sigma.tolist(), strict=True
                 )
             ]
-        ).to(parameters.prior_sigma)
+        )
 
 
 def usually_unsure(job: Job, parameters: Parameters) -> Parameters:
