@@ -83,7 +83,7 @@ def test_every_frame_has_a_line_and_bad_ones_a_reason(folder, tmp_path, capsys):
         sigma = torch.tensor(each["position_sigma_m"] + each["rotation_sigma_rad"])
         assert (error.abs() < 5.0 * sigma).all()
     found = json.loads((out / "result.json").read_text())
-    assert found["frames"] == {"tracking": 2, "lost": 0, "unusable": 3}
+    assert found["frames"] == {"tracking": 2, "lost": 0, "ambiguous": 0, "unusable": 3}
     assert (found["status"], found["alarms"]) == ("tracking", [])
     assert found["last"] == taken[-1]
     printed = capsys.readouterr().out
@@ -99,6 +99,21 @@ def test_json_prints_the_lines_and_a_lost_camera_is_an_exit_status(folder, tmp_p
     assert capsys.readouterr().out == (out / "frames.jsonl").read_text()
     assert [each["status"] for each in lines(out)] == ["tracking", "lost"]
     assert main(arguments) == 3  # an earlier result is replaced
+
+
+def test_where_nothing_was_explained_the_last_words_are_advice(folder, tmp_path, capsys):
+    out, file = tmp_path / "out", job(folder, "covered", "gone")
+    advice = f"no frame was explained: torchcal check {file} names mistakes that it finds"
+    assert main(["follow", file, "--out", str(out)]) == 3
+    assert capsys.readouterr().err.splitlines()[-1] == advice
+    assert main(["follow", job(folder, "0", "covered"), "--out", str(out)]) == 3
+    assert "torchcal check" not in capsys.readouterr().err
+
+
+def test_images_that_a_driver_repeats_are_passed_over(folder, tmp_path):
+    out = tmp_path / "out"
+    assert main(["follow", job(folder, "0", "0", "1"), "--out", str(out), *WANDERING]) == 0
+    assert [each["status"] for each in lines(out)] == ["tracking", "unusable", "tracking"]
 
 
 def test_an_alarm_in_the_last_frame_is_an_exit_status(folder, tmp_path, capsys):

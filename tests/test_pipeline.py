@@ -1,5 +1,7 @@
 """From a recording to the whole answer: what it finds, what it says, and that it says it again."""
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -183,3 +185,38 @@ def test_predict_shows_the_nominal_pose():
         # All but the boxes' silhouettes agree with the ray caster to the perspective's curvature.
         assert float(difference.median()) < 1e-3
         assert float((difference < 0.02).double().mean()) > 0.97
+
+
+def test_an_answer_that_a_misread_image_gave_cannot_be_used():
+    job = one_view(lambda ranges: ranges.flip(0, 1))
+    found = answer(job)
+    assert found.estimate.status is Status.FAILED
+    assert len(found.warnings) == 1
+    assert "The images fit far better turned by half a turn" in found.warnings[0]
+    assert found.estimate.message.startswith("A pose was found, but the images fit far better")
+
+
+def test_an_answer_that_explains_too_little_for_all_says_how_much(calibration):
+    assert calibration.estimate.message.startswith("The model explains the images and")
+    found = answer(one_view(with_something_before_the_left_third))
+    assert found.estimate.status is Status.CONVERGED
+    assert found.warnings == ()
+    words = r"The model explains at least (\d+) % of what was measured in each image, and the "
+    share = re.match(words + "estimated pose can be used", found.estimate.message)
+    assert share is not None
+    assert 62 <= int(share[1]) <= 70
+
+
+def one_view(change: Callable[[Tensor], Tensor]) -> Job:
+    """A job of one image that was changed."""
+    truth, off = pose(0.1, 0.0, -0.6, 0.05, 0.1, 0.0), twist(0.02, -0.01, 0.015, 0.01, -0.02, 0.01)
+    job = recordings.hand_held(recordings.sensor(), [truth], error=off)
+    (frame,) = job.frames
+    image = replace(frame.image, range=change(frame.image.range))
+    return replace(job, frames=(replace(frame, image=image),))
+
+
+def with_something_before_the_left_third(ranges: Tensor) -> Tensor:
+    changed = ranges.clone()
+    changed[:, : ranges.shape[1] // 3] -= 0.5
+    return changed

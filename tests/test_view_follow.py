@@ -83,10 +83,14 @@ def test_a_followed_frame_is_compared_where_the_sensor_was_believed_to_be(follow
 def test_a_lost_frame_or_an_alarm_is_told(followed, tmp_path):
     job, written = followed
     line = json.loads(written.read_text().splitlines()[0])
-    for change, words in (({"status": "lost"}, "lost, frame 0"), ({"alarm": True}, "ALARM: ")):
+    for change, status, words in (
+        ({"status": "lost"}, Status.FAILED, "lost, frame 0"),
+        ({"status": "ambiguous"}, Status.AMBIGUOUS, "ambiguous, frame 0"),
+        ({"alarm": True}, Status.FAILED, "ALARM: "),
+    ):
         (tmp_path / "frames.jsonl").write_text(json.dumps(line | change) + "\n")
         result = source_of(job, tmp_path / "frames.jsonl").latest(None)
-        assert result.status == Status.FAILED
+        assert result.status == status
         assert result.message.startswith(words)
 
 

@@ -1,6 +1,7 @@
 """What is believed after the fits of a recording (section 3), and what to say of it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from torchcal.calibrate.compare import Belief
 from torchcal.calibrate.fits import EXPLAINED, Choice
 from torchcal.calibrate.observability import LEFT, poses_are_told, unobservable_directions
 from torchcal.calibrate.parameters import Parameters
+from torchcal.calibrate.readings import EXPLAINED as WELL_EXPLAINED
 from torchcal.calibrate.refine import Refined
 from torchcal.calibrate.reliability import reliability
 from torchcal.calibrate.result import (
@@ -76,8 +78,9 @@ def estimate_of(
     if choice is None:
         status, message = _status_of_nominal(parameters, belief, comparisons)
     else:
-        status = _status(sensor, parameters, belief, choice, comparisons, jacobians)
-        message = _message(status, len(rivals), belief)
+        agreement = declared_agreement(sensor, belief, comparisons)
+        status = _status(parameters, belief, choice, agreement, jacobians)
+        message = _message(status, len(rivals), belief, agreement)
     return Estimate(
         status=status,
         message=message,
@@ -128,24 +131,23 @@ def moved_objects(parameters: Parameters, belief: Belief) -> tuple[str, ...]:
     return tuple(moved)
 
 
+def doubted(estimate: Estimate, mistakes: Sequence[str]) -> Estimate:
+    """The estimate after a look for mistakes: an answer cannot be used if one was found.
+
+    Args:
+        estimate: What was found.
+        mistakes: From ``misreadings``: sentences.
+    """
+    if not mistakes or estimate.status != Status.CONVERGED:
+        return estimate
+    message = f"A pose was found, but {mistakes[0][0].lower()}{mistakes[0][1:]}"
+    return replace(estimate, status=Status.FAILED, message=message)
+
+
 def _status(
-    sensor: Sensor,
-    parameters: Parameters,
-    belief: Belief,
-    choice: Choice,
-    comparisons: Sequence[FrameComparison],
-    jacobians: Tensor,
+    parameters: Parameters, belief: Belief, choice: Choice, agreement: float, jacobians: Tensor
 ) -> Status:
-    # What P adds to sigma' would excuse everything where nothing is told.
-    noise = [
-        torch.hypot(
-            sensor.noise.sigma(c.predicted),
-            torch.full_like(c.predicted, belief.drift_sigma / belief.sigma_scale),
-        )
-        for c in comparisons
-    ]
-    share = worst_agreement(comparisons, noise)
-    if not belief.covariance.isfinite().all() or share < choice.least_agreement:
+    if not belief.covariance.isfinite().all() or agreement < choice.least_agreement:
         return Status.FAILED
     if parameters.contradicts_prior(belief.state):
         return Status.FAILED
@@ -153,6 +155,21 @@ def _status(
     if not poses_are_told(belief.covariance, parameters, poses):
         return Status.UNOBSERVABLE
     return Status.AMBIGUOUS if choice.rivals else Status.CONVERGED
+
+
+def declared_agreement(
+    sensor: Sensor, belief: Belief, comparisons: Sequence[FrameComparison]
+) -> float:
+    """Share of the compared pixels, in the worst frame, that agree within the declared noise.
+
+    What varies slowly adds to that. What P adds would excuse everything where nothing is told.
+    """
+    slow = belief.drift_sigma / belief.sigma_scale
+    noise = [
+        torch.hypot(sensor.noise.sigma(c.predicted), torch.full_like(c.predicted, slow))
+        for c in comparisons
+    ]
+    return worst_agreement(comparisons, noise)
 
 
 def agreement_with(comparisons: Sequence[FrameComparison], belief: Belief) -> float:
@@ -185,11 +202,14 @@ def _status_of_nominal(
     return Status.CONVERGED, f"{why}: the images were compared at the nominal pose."
 
 
-def _message(status: Status, rivals: int, belief: Belief) -> str:
+def _message(status: Status, rivals: int, belief: Belief, agreement: float) -> str:
     if belief.used_pixels == 0 and status != Status.CONVERGED:
         return NOTHING_TOLD
+    images = "the images"
+    if agreement < WELL_EXPLAINED:
+        images = f"at least {int(100.0 * agreement)} % of what was measured in each image,"
     return {
-        Status.CONVERGED: "The model explains the images and the estimated pose can be used"
+        Status.CONVERGED: f"The model explains {images} and the estimated pose can be used"
         f"{worth_words(belief)}.",
         Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "
         "without knowing which is right.",

@@ -98,6 +98,7 @@ class FrameFit:
         projection, beam = job.sensor.projection, job.sensor.beam
         side = max(1, round(max(projection.width, projection.height) / WIDTH))
         side = block_side(beam, side) if beam > 1 else side
+        side = min(side, projection.width, projection.height)
         whole = coarser(observation, side, least=1.0)
         blocks = coarser(observation, side)
         if whole.measured.sum() >= LEAST_WHOLE * blocks.measured.sum():
@@ -110,7 +111,7 @@ class FrameFit:
             drift=trust.drift,
             sigma_scale=trust.sigma_scale,
         )
-        coarse = sharpened(coarser(blocks, 2))
+        coarse = sharpened(coarser(blocks, min(2, *blocks.range.shape[1:])))
         jumps = near_jumps(coarse.range, coarse.measured, coarse.sigma)
         return FrameFit(fit=fit, coarse=coarse.without(jumps), side=side)
 

@@ -8,7 +8,8 @@ from scipy.stats import chi2
 from torch import Tensor
 
 TOLD = 1e-3
-"""An image that takes less than this off the square of a sigma says nothing in that direction."""
+"""An image that tells less than this part of what might have happened says nothing in that
+direction: the square of that standard deviation over the image's own."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,6 +28,7 @@ def innovation(
     expected: Float[Tensor, "parameter parameter"],
     information: Float[Tensor, "parameter parameter"],
     score: Float[Tensor, " parameter"],
+    possible: Float[Tensor, " parameter"],
 ) -> Innovation:
     """Joins an expectation with what an image tells, both Gaussian.
 
@@ -37,6 +39,9 @@ def innovation(
         expected: Covariance of the parameters before the image.
         information: What the image tells of them (A^T W A).
         score: The image's gradient at the expected state (A^T W r).
+        possible: Standard deviations of what may have happened, not below those of what is
+            expected: what an image tells is measured against them, since an image that adds nothing
+            to what is believed may still contradict it.
     """
     scale = expected.diagonal().clamp(min=1e-300).sqrt()  # metres and radians become alike
     P = expected / scale[:, None] / scale
@@ -49,7 +54,7 @@ def innovation(
     return Innovation(
         step=scale * (after @ pull),
         covariance=after * scale[:, None] * scale,
-        p_value=_p_value(P, told, pull),
+        p_value=_p_value(expected, information, score, possible),
     )
 
 
@@ -59,16 +64,17 @@ def _root(P: Tensor) -> Tensor:
     return vector * value.clamp(min=0.0).sqrt()
 
 
-def _p_value(P: Tensor, told: Tensor, pull: Tensor) -> float:
+def _p_value(P: Tensor, information: Tensor, score: Tensor, possible: Tensor) -> float:
     """Chi-square test of the score, in the directions in which the image tells something."""
+    told = information * possible[:, None] * possible
     value, vector = torch.linalg.eigh(told)
     kept = value > TOLD
     if not kept.any():
         return 1.0
     value, vector = value[kept], vector[:, kept]
     # In units of the image's own sigmas: large information would spoil the digits.
-    seen = (vector.mT @ pull) / value.sqrt()
+    seen = (vector.mT @ (score * possible)) / value.sqrt()
     spread = vector * value.sqrt()
-    S = spread.mT @ P @ spread + torch.eye(len(value)).to(P)
+    S = spread.mT @ (P / possible[:, None] / possible) @ spread + torch.eye(len(value)).to(P)
     distance = float(seen @ torch.linalg.solve(S, seen))
     return float(chi2.sf(distance, len(value)))

@@ -3,9 +3,14 @@
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchcal.model.job import Frame, Job
 from torchcal.model.range_image import RangeImage
+
+LOOSE = 1e-3
+"""Nominal poses may be rounded by so much and still be rigid motions."""
 
 
 def only_frame(job: Job) -> Job:
@@ -26,6 +31,7 @@ def only_frame(job: Job) -> Job:
 
 def usable_frame(frame: Frame, job: Job) -> Frame | str:
     """The frame without what its sensor cannot have measured, or a sentence that says why not."""
+    frame = _detached(frame)
     image, projection = frame.image, job.sensor.projection
     expected = projection.height, projection.width
     if tuple(image.range.shape) != expected:
@@ -34,10 +40,39 @@ def usable_frame(frame: Frame, job: Job) -> Frame | str:
         joints, count = frame.joints, len(job.robot.joint_names)
         if joints is None or tuple(joints.shape) != (count,) or not joints.isfinite().all():
             return f"Found joint values {joints}; expected {count} finite numbers."
-    elif frame.T_world_sensor is not None and not frame.T_world_sensor.isfinite().all():
-        return "Found a nominal pose that is not finite; expected finite numbers."
+    elif frame.T_world_sensor is not None and not _is_rigid(frame.T_world_sensor):
+        return (
+            f"Found a nominal pose {frame.T_world_sensor.tolist()}; expected a rigid motion, a "
+            "rotation and a shift."
+        )
     inside = (image.range >= job.sensor.near) & (image.range <= job.sensor.far)
     if not (image.usable & inside).any():
         return "The image holds no measured pixel that may be used."
     ranges = torch.where(inside, image.range, torch.nan)
     return replace(frame, image=replace(image, range=ranges))
+
+
+def is_repeated(image: RangeImage, before: RangeImage) -> bool:
+    """Whether two images are the same, pixel by pixel: the noise of a new one is its own."""
+    both = (image.range, before.range)
+    same = torch.equal(*(each.nan_to_num(0.0) for each in both))
+    return same and torch.equal(image.usable, before.usable)
+
+
+def _detached(frame: Frame) -> Frame:
+    """The frame outside of its caller's derivatives."""
+    pose, joints = frame.T_world_sensor, frame.joints
+    return replace(
+        frame,
+        image=replace(frame.image, range=frame.image.range.detach()),
+        joints=None if joints is None else joints.detach(),
+        T_world_sensor=None if pose is None else pose.detach(),
+    )
+
+
+def _is_rigid(T: Float[Tensor, "4 4"]) -> bool:
+    R, last = T[:3, :3], T.new_tensor([0.0, 0.0, 0.0, 1.0])
+    if not T.isfinite().all() or torch.linalg.det(R) <= 0.0:
+        return False
+    stretched = (R @ R.mT - torch.eye(3).to(R)).abs().max()
+    return bool(torch.maximum(stretched, (T[3] - last).abs().max()) < LOOSE)

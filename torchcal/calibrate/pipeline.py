@@ -6,13 +6,19 @@ from torch import Tensor
 
 from torchcal.calibrate.anywhere import locate
 from torchcal.calibrate.compare import Belief, compare, compare_as_believed
-from torchcal.calibrate.estimate import belief_after, estimate_of, nominal_belief
+from torchcal.calibrate.estimate import (
+    belief_after,
+    declared_agreement,
+    doubted,
+    estimate_of,
+    nominal_belief,
+)
 from torchcal.calibrate.excused import excused_objects, told_nothing_of
 from torchcal.calibrate.fits import Choice, choose_found, choose_start, fit_pixels, fit_rest
 from torchcal.calibrate.foresight import next_view
 from torchcal.calibrate.observation import grown
 from torchcal.calibrate.parameters import Parameters
-from torchcal.calibrate.readings import misreadings
+from torchcal.calibrate.readings import EXPLAINED, misreadings
 from torchcal.calibrate.refine import fitted_drift, slow_error
 from torchcal.calibrate.regions import significant_regions
 from torchcal.calibrate.result import Calibration, FrameComparison, Status
@@ -64,9 +70,11 @@ def calibrate(
     with stages.stage("update"):
         update = revise(job, scene, parameters, belief, comparisons, result, generator)
     warnings = suspicions(job)
-    if choice is not None and result.status != Status.CONVERGED:
+    agreement = declared_agreement(job.sensor, belief, comparisons)
+    if choice is not None and (result.status != Status.CONVERGED or agreement < EXPLAINED):
         with stages.stage("look for a mistake"):
-            warnings += misreadings(job, scene, parameters, belief.state)
+            mistakes = misreadings(job, scene, parameters, belief.state)
+        result, warnings = doubted(result, mistakes), warnings + mistakes
     ahead = None
     if choice is not None:
         with stages.stage("look ahead"):

@@ -6,6 +6,8 @@ from enum import StrEnum
 from jaxtyping import Float
 from torch import Tensor
 
+from torchcal.calibrate.readings import EXPLAINED
+
 
 class TrackStatus(StrEnum):
     """Whether a frame could be used."""
@@ -13,8 +15,11 @@ class TrackStatus(StrEnum):
     TRACKING = "tracking"
     LOST = "lost"
     """No state near the expected one explains the image."""
+    AMBIGUOUS = "ambiguous"
+    """Several states explain the image; nobody knows which of them is right."""
     UNUSABLE = "unusable"
-    """The frame holds nothing that could be compared: no image, or one of another size."""
+    """The frame holds nothing that could be compared: no image, one of another size, or the one
+    that was used last."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,3 +48,22 @@ class Tracked:
     """Share of the measured blocks of pixels that are where the model says; 0 if not used."""
     seconds: float
     """That the step took."""
+
+
+def expected_words(agreement: float, usual: float) -> str:
+    """Of a frame that confirms what is estimated: objects may have changed all the same.
+
+    Args:
+        agreement: Share of what was measured that is where the model says.
+        usual: The same of the frames so far; what never explained much confirms little.
+    """
+    share = f"{100.0 * agreement:.1f} % of what was measured."
+    if usual < EXPLAINED:
+        return f"The model explains only {share}"
+    return f"What is estimated is as expected; the model agrees with {share}"
+
+
+def rivals_words(count: int) -> str:
+    """Of a frame that other states explain as well; the sentence has no end yet."""
+    others = "1 other pose explains" if count == 1 else f"{count} other poses explain"
+    return f"{others} the image as well: none of them is believed"

@@ -14,32 +14,32 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchcal.calibrate.anywhere import check_searchable, locate, without_prior
-from torchcal.calibrate.fits import EXPLAINED, EXPLAINED_ANYWHERE, choose_found, choose_start
+from torchcal.calibrate.fits import EXPLAINED, EXPLAINED_ANYWHERE
 from torchcal.calibrate.frame_fit import FrameFit, Told, Trust
+from torchcal.calibrate.frame_search import FrameSearch, Sighting
 from torchcal.calibrate.innovation import Innovation, innovation
-from torchcal.calibrate.live_frame import only_frame, usable_frame
+from torchcal.calibrate.live_frame import is_repeated, only_frame, usable_frame
 from torchcal.calibrate.observability import parameter_words
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
 from torchcal.calibrate.slots import BASE
-from torchcal.calibrate.tracked import Tracked, TrackStatus
+from torchcal.calibrate.tracked import Tracked, TrackStatus, expected_words, rivals_words
 from torchcal.calibrate.wander import Wander, own_error, usually_unsure
 from torchcal.errors import TorchcalError
 from torchcal.geometry import gaussian
 from torchcal.model.job import Frame, Job
 from torchcal.model.precision import frame_in_double, job_in_double
+from torchcal.model.range_image import RangeImage
 from torchcal.model.scene import Scene
 
 CHANCE = 1e-6
 """An alarm if chance alone would make a frame differ as much less often than this."""
 BUMP = {"m": 0.03, "rad": 0.035, "1": 0.01}
 """What a bump may change at once, in the parameters' units, beyond the drift."""
-SUDDEN = 0.9
-"""With less than this share of the usual agreement, other states are tried, too."""
 FORGOTTEN = 0.1
 """Share of the usual agreement that each frame replaces where it agrees less."""
 PATIENCE = 3
-"""So many lost frames in a row are an alarm."""
+"""So many lost or ambiguous frames in a row are an alarm."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,8 +66,10 @@ class Tracker:
     """None until a frame was explained."""
     agreement: float = 0.0
     """What is usual: of the last frames that were explained."""
+    image: RangeImage | None = None
+    """The last one that was believed."""
     lost: int = 0
-    """Frames in a row that were not explained."""
+    """Frames in a row that were not explained, or by several states."""
 
     @staticmethod
     def of(job: Job, *, drift: Wander | None = None, generator: torch.Generator) -> "Tracker":
@@ -115,6 +117,10 @@ class Tracker:
         usable = usable_frame(frame_in_double(frame), self.job)
         if isinstance(usable, str):
             return self.skip(frame.image.name, usable)
+        if self.image is not None and is_repeated(usable.image, self.image):
+            return self.skip(
+                frame.image.name, "The image is the same as the last one that was used."
+            )
         anywhere = self.job.initial == "anywhere"
         begun = self._located(usable) if anywhere else self
         expecting = begun._expecting(begun.parameters.at(usable, begun.T_first))
@@ -124,13 +130,14 @@ class Tracker:
         if not fit.measured:
             words = "The image holds no area that can be compared."
             return before, before._unused(frame.image.name, TrackStatus.UNUSABLE, words, began)
-        told, trust = expecting._explained(alone, fit)
+        search = FrameSearch(job=alone, scene=self.scene, fit=fit, generator=self.generator)
+        seen = expecting._seen(search)
         least = EXPLAINED_ANYWHERE if anywhere else EXPLAINED
-        if told.agreement < least or expecting._is_far(told.state):
+        refused = expecting._refused(seen, least)
+        if refused is not None:
             after = replace(before, lost=self.lost + 1)
-            words = f"The image is not explained, {after.lost} in a row."
-            return after, after._unused(frame.image.name, TrackStatus.LOST, words, began)
-        return expecting._believing(told, trust, frame, began)
+            return after, after._unused(frame.image.name, *refused, began)
+        return expecting._believing(seen, usable.image, began)
 
     def skip(self, name: str, why: str) -> tuple["Tracker", Tracked]:
         """Passes a frame over that could not be had: what is believed gets less sure.
@@ -190,40 +197,47 @@ class Tracker:
         """Whether a state is farther from the expected one than a bump explains."""
         return bool(self._wide().contradicts_prior(state))
 
-    def _explained(self, alone: Job, fit: FrameFit) -> tuple[Told, Trust]:
-        """What the frame tells at the state that explains it best, and how far to believe it."""
+    def _seen(self, search: FrameSearch) -> Sighting:
+        """What a frame tells where it is explained best."""
         if self.trust is None:
-            found = fit.told(self._sought(alone, fit), 1.0)
-            trust = fit.trust(found.state)
-            return fit.trusting(trust).told(found.state, trust.share), trust
-        told = fit.told(fit.near(self.state), self.trust.share)
-        if told.agreement < SUDDEN * self.agreement:
-            found = fit.told(self._sought(alone, fit), self.trust.share)
-            told = found if found.agreement > told.agreement else told
-        return told, self.trust
+            return search.first(self.starts)
+        return search.near(self.state, self.trust, self.agreement)
 
-    def _sought(self, alone: Job, fit: FrameFit) -> Tensor:
-        """Where a search leads that starts all over the fit's prior, or from what was found."""
-        if self.trust is None and self.starts is not None:
-            return choose_found(alone, self.scene, fit.fit.parameters, self.starts).state
-        return choose_start(alone, self.scene, fit.fit.parameters, self.generator).state
+    def _refused(self, seen: Sighting, least: float) -> tuple[TrackStatus, str] | None:
+        """Why a frame is not believed; None if it is."""
+        row = f"{self.lost + 1} in a row"
+        if seen.mistake is not None:
+            return TrackStatus.LOST, seen.mistake
+        if seen.told.agreement < least or self._is_far(seen.told.state):
+            return TrackStatus.LOST, f"The image is not explained, {row}."
+        if seen.rivals:
+            return TrackStatus.AMBIGUOUS, f"{rivals_words(seen.rivals)}, {row}."
+        return None
 
     def _believing(
-        self, told: Told, trust: Trust, frame: Frame, began: float
+        self, seen: Sighting, image: RangeImage, began: float
     ) -> tuple["Tracker", Tracked]:
         """The tracker after a frame that was explained."""
+        told = seen.told
         joined = self._joined(told, self.covariance)
         state, P = self._moved(told, joined), joined.covariance
-        alarm, words = joined.p_value < CHANCE, _expected_words(told.agreement)
+        usual = max(told.agreement, self.agreement + FORGOTTEN * (told.agreement - self.agreement))
+        alarm, words = joined.p_value < CHANCE, expected_words(told.agreement, usual)
         if alarm:
             anew = self._joined(told, self.covariance + torch.diag(self._bump.square()))
             state, P = self._moved(told, anew), anew.covariance
             words = self._what_moved(state)
-        usual = self.agreement + FORGOTTEN * (told.agreement - self.agreement)
-        usual = max(usual, told.agreement)
-        after = replace(self, state=state, covariance=P, trust=trust, agreement=usual, lost=0)
+        after = replace(
+            self,
+            state=state,
+            covariance=P,
+            trust=seen.trust,
+            agreement=usual,
+            image=image,
+            lost=0,
+        )
         return after, Tracked(
-            name=frame.image.name,
+            name=image.name,
             status=TrackStatus.TRACKING,
             alarm=alarm,
             message=words,
@@ -236,7 +250,7 @@ class Tracker:
     def _joined(self, told: Told, covariance: Tensor) -> Innovation:
         offset = self.parameters.difference(told.state, self.state)
         score = told.gradient + told.information @ offset
-        return innovation(covariance, told.information, score)
+        return innovation(covariance, told.information, score, self._wide().prior_sigma)
 
     def _moved(self, told: Told, joined: Innovation) -> Tensor:
         """The joint state: from where the frame was looked at, which it is near."""
@@ -270,18 +284,10 @@ class Tracker:
         return Tracked(
             name=name,
             status=status,
-            alarm=status == TrackStatus.LOST and self.lost >= PATIENCE,
+            alarm=status != TrackStatus.UNUSABLE and self.lost >= PATIENCE,
             message=message,
             p_value=1.0,
             agreement=0.0,
             seconds=time.perf_counter() - began,
             **self._belief(),
         )
-
-
-def _expected_words(agreement: float) -> str:
-    """Of a frame that confirms what is estimated: objects may have changed all the same."""
-    return (
-        "What is estimated is as expected; the model agrees with "
-        f"{100.0 * agreement:.1f} % of what was measured."
-    )

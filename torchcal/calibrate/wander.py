@@ -35,21 +35,21 @@ class Wander:
             TorchcalError: If a number is negative or not finite, a block is not unknown or its
                 entry is of the wrong kind.
         """
-        _check(self.share, "share")
+        share = _check(self.share, "share")
         known = {_block(name): name for name in parameters.names if not _is_own(name)}
         named: dict[str, float] = {}
         for block, entry in self.blocks.items():
             if block not in known:
                 raise TorchcalError(f"drift: found {block!r}; expected {choices(known)}")
             named |= dict(_entries(block, entry, is_pose=known[block] != block))
-        return torch.tensor(
+        return parameters.prior_sigma.new_tensor(
             [
-                0.0 if _is_own(name) else named.get(name, self.share * prior)
+                0.0 if _is_own(name) else named.get(name, share * prior)
                 for name, prior in zip(
                     parameters.names, parameters.prior_sigma.tolist(), strict=True
                 )
             ]
-        ).to(parameters.prior_sigma)
+        )
 
 
 def usually_unsure(job: Job, parameters: Parameters) -> Parameters:
@@ -75,8 +75,10 @@ def _is_own(name: str) -> bool:
 
 
 def _block(name: str) -> str:
+    if name.startswith("joints."):  # whose own names may end like those of axes
+        return name
     owner, _, axis = name.rpartition(".")
-    return owner if axis in AXES and owner not in ("joints", "objects") else name
+    return owner if axis in AXES else name
 
 
 def _entries(block: str, entry: float | PosePrior, *, is_pose: bool) -> Iterator[tuple[str, float]]:
@@ -85,13 +87,17 @@ def _entries(block: str, entry: float | PosePrior, *, is_pose: bool) -> Iterator
         expected = "a PosePrior" if is_pose else "a number"
         raise TorchcalError(f"drift: found {entry!r} for {block}; expected {expected}")
     if not isinstance(entry, PosePrior):
-        yield block, _check(float(entry), block)
+        yield block, _check(entry, block)
         return
     for axis, sigma in zip(AXES, entry.sigma.tolist(), strict=True):
         yield f"{block}.{axis}", _check(sigma, block)
 
 
-def _check(sigma: float, what: str) -> float:
-    if not math.isfinite(sigma) or sigma < 0.0:
-        raise TorchcalError(f"drift: found {sigma} for {what}; expected 0 or more")
-    return sigma
+def _check(sigma: object, what: str) -> float:
+    try:
+        number = float(sigma)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError) as error:
+        raise TorchcalError(f"drift: found {sigma!r} for {what}; expected a number") from error
+    if not math.isfinite(number) or number < 0.0:
+        raise TorchcalError(f"drift: found {number} for {what}; expected 0 or more")
+    return number

@@ -22,6 +22,8 @@ from torchcal.errors import TorchcalError
 from torchcal.model.job import Job, PosePrior
 from torchcal.model.read_job import read_recording
 
+NOT_EXPLAINED = (TrackStatus.LOST, TrackStatus.UNUSABLE)
+
 
 def run_follow(command: Follow, out: Console, err: Console) -> int:
     """``torchcal follow``; returns the exit status."""
@@ -43,6 +45,9 @@ def run_follow(command: Follow, out: Console, err: Console) -> int:
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
     if not command.options.json:
         _tell(taken, command.out, out)
+    if all(each.status in NOT_EXPLAINED for each in taken):
+        words = f"no frame was explained: torchcal check {command.job} names mistakes that it finds"
+        line(err, words)
     last = taken[-1]
     return USABLE if last.status == TrackStatus.TRACKING and not last.alarm else NOT_USABLE
 

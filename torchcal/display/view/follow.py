@@ -15,6 +15,11 @@ from torchcal.calibrate.tracked import TrackStatus
 from torchcal.errors import TorchcalError
 
 WAITING = "Waiting for the first frame of torchcal follow."
+SAID = {
+    TrackStatus.TRACKING.value: Status.CONVERGED,
+    TrackStatus.AMBIGUOUS.value: Status.AMBIGUOUS,
+}
+"""What a frame's status says of the whole; all else is a failure."""
 
 
 @dataclass(slots=True)
@@ -105,7 +110,6 @@ class FollowSource:
 
 def _said(line: dict[str, Any]) -> tuple[Status, str]:
     """What a line says of its frame."""
-    tracking = line["status"] == TrackStatus.TRACKING and not line["alarm"]
     alarm = "ALARM: " if line["alarm"] else ""
-    status = Status.CONVERGED if tracking else Status.FAILED
+    status = Status.FAILED if alarm else SAID.get(line["status"], Status.FAILED)
     return status, f"{alarm}{line['status']}, frame {line['name']}: {line['message']}"
