@@ -151,7 +151,8 @@ def declared_agreement(
 ) -> float:
     """Share of the compared pixels, in the worst frame, that agree within the declared noise.
 
-    What varies slowly adds to that. What P adds to sigma' would excuse everything where nothing is told.
+    What varies slowly adds to that. What P adds to sigma' would excuse everything where nothing is
+    told.
     """
     slow = belief.drift_sigma / belief.sigma_scale
     noise = [
