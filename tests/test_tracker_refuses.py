@@ -74,6 +74,7 @@ def test_a_belief_that_the_first_frame_contradicts_is_an_alarm(sigma):
 
 def test_a_camera_that_may_be_in_two_places_is_in_neither():
     job, frame = square_room(quarters=0.5, sigma=0.8)
+    assert job.base is not None
     tracker, taken = followed(Tracker.of(job, generator=generator()), [frame] * PATIENCE)
     assert {each.status for each in taken} == {TrackStatus.AMBIGUOUS}
     assert [each.alarm for each in taken] == [False] * (PATIENCE - 1) + [True]
