@@ -110,10 +110,13 @@ def test_where_nothing_was_explained_the_last_words_are_advice(folder, tmp_path,
     assert "torchcal check" not in capsys.readouterr().err
 
 
-def test_images_that_a_driver_repeats_are_passed_over(folder, tmp_path):
+def test_images_that_a_driver_repeats_make_nothing_surer(folder, tmp_path):
     out = tmp_path / "out"
     assert main(["follow", job(folder, "0", "0", "1"), "--out", str(out), *WANDERING]) == 0
-    assert [each["status"] for each in lines(out)] == ["tracking", "unusable", "tracking"]
+    first, again, _ = lines(out)
+    assert [each["status"] for each in lines(out)] == ["tracking"] * 3
+    assert again["message"].endswith("it tells nothing new.")
+    assert again["position_sigma_m"] > first["position_sigma_m"]
 
 
 def test_an_alarm_in_the_last_frame_is_an_exit_status(folder, tmp_path, capsys):

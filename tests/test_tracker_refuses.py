@@ -119,11 +119,21 @@ def test_an_image_that_comes_again_tells_nothing_new():
     seen.image.range[0, 0] = torch.nan
     copy = replace(seen, image=replace(seen.image, range=seen.image.range.clone()))
     _, taken = followed(tracker, [seen, copy, copy, other])
-    statuses = [each.status for each in taken]
-    assert statuses == [TrackStatus.TRACKING, *[TrackStatus.UNUSABLE] * 2, TrackStatus.TRACKING]
-    assert taken[1].message == "The image is the same as the last one that was used."
+    assert {each.status for each in taken} == {TrackStatus.TRACKING}
+    again = "The image is the same as the last one that was used: it tells nothing new."
+    assert [each.message == again for each in taken] == [False, True, True, False]
+    assert taken[2].agreement == taken[0].agreement
     torch.testing.assert_close(taken[2].covariance, taken[0].covariance, rtol=0.0, atol=0.0)
     assert taken[3].covariance.trace() < 0.7 * taken[0].covariance.trace()
+
+
+def test_an_image_that_comes_again_from_another_place_contradicts_one_of_the_two():
+    """Its driver stands still, or its odometry does not."""
+    moved = START @ se3.exp(torch.tensor([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64))
+    tracker = Tracker.of(camera_job(), drift=Wander(share=0.0), generator=generator())
+    seen = seen_from(START, nominal=START)
+    _, taken = followed(tracker, [seen, replace(seen, T_world_sensor=moved)])
+    assert [each.alarm for each in taken] == [False, True]
 
 
 def test_a_covered_camera_that_sends_the_same_image_is_an_alarm_all_the_same():

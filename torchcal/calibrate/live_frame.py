@@ -52,11 +52,21 @@ def usable_frame(frame: Frame, job: Job) -> Frame | str:
     return replace(frame, image=replace(image, range=ranges))
 
 
-def is_repeated(image: RangeImage, before: RangeImage) -> bool:
-    """Whether two images are the same, pixel by pixel: the noise of a new one is its own."""
-    both = (image.range, before.range)
-    same = torch.equal(*(each.nan_to_num(0.0) for each in both))
-    return same and torch.equal(image.usable, before.usable)
+def is_repeated(frame: Frame, before: Frame) -> bool:
+    """Whether two frames are the same in every pixel, for the noise of a new image is its own.
+
+    The same image with other joints or from another place is none: it contradicts one of the two.
+    """
+    pairs = (
+        (frame.image.range.nan_to_num(0.0), before.image.range.nan_to_num(0.0)),
+        (frame.image.usable, before.image.usable),
+        (frame.joints, before.joints),
+        (frame.T_world_sensor, before.T_world_sensor),
+    )
+    return all(
+        a is b if a is None or b is None else torch.equal(a, b)  # None: of no robot, of no odometry
+        for a, b in pairs
+    )
 
 
 def _detached(frame: Frame) -> Frame:

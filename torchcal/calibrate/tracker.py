@@ -29,7 +29,6 @@ from torchcal.errors import TorchcalError
 from torchcal.geometry import gaussian
 from torchcal.model.job import Frame, Job
 from torchcal.model.precision import frame_in_double, job_in_double
-from torchcal.model.range_image import RangeImage
 from torchcal.model.scene import Scene
 
 CHANCE = 1e-6
@@ -66,7 +65,7 @@ class Tracker:
     """None until a frame was explained."""
     agreement: float = 0.0
     """What is usual: of the last frames that were explained."""
-    image: RangeImage | None = None
+    frame: Frame | None = None
     """The last one that was believed."""
     lost: int = 0
     """Frames in a row that were not explained, or by several states."""
@@ -117,10 +116,8 @@ class Tracker:
         usable = usable_frame(frame_in_double(frame), self.job)
         if isinstance(usable, str):
             return self.skip(frame.image.name, usable)
-        if self.image is not None and is_repeated(usable.image, self.image):
-            return self.skip(
-                frame.image.name, "The image is the same as the last one that was used."
-            )
+        if self.frame is not None and is_repeated(usable, self.frame):
+            return self._repeated(frame.image.name, began)
         anywhere = self.job.initial == "anywhere"
         begun = self._located(usable) if anywhere else self
         expecting = begun._expecting(begun.parameters.at(usable, begun.T_first))
@@ -137,7 +134,7 @@ class Tracker:
         if refused is not None:
             after = replace(before, lost=self.lost + 1)
             return after, after._unused(frame.image.name, *refused, began)
-        return expecting._believing(seen, usable.image, began)
+        return expecting._believing(seen, usable, began)
 
     def skip(self, name: str, why: str) -> tuple["Tracker", Tracked]:
         """Passes a frame over that could not be had: what is believed gets less sure.
@@ -148,6 +145,13 @@ class Tracker:
         """
         after = self._expecting(self.parameters)
         return after, after._unused(name, TrackStatus.UNUSABLE, why, time.perf_counter())
+
+    def _repeated(self, name: str, began: float) -> tuple["Tracker", Tracked]:
+        """The last frame once more contradicts nothing, and must not make anything surer."""
+        after = replace(self._expecting(self.parameters), lost=0)
+        words = "The image is the same as the last one that was used: it tells nothing new."
+        tracked = after._unused(name, TrackStatus.TRACKING, words, began)
+        return after, replace(tracked, agreement=self.agreement)
 
     def _located(self, frame: Frame) -> "Tracker":
         """Begun where a search all over the world puts a frame."""
@@ -214,9 +218,7 @@ class Tracker:
             return TrackStatus.AMBIGUOUS, f"{rivals_words(seen.rivals)}, {row}."
         return None
 
-    def _believing(
-        self, seen: Sighting, image: RangeImage, began: float
-    ) -> tuple["Tracker", Tracked]:
+    def _believing(self, seen: Sighting, frame: Frame, began: float) -> tuple["Tracker", Tracked]:
         """The tracker after a frame that was explained."""
         told = seen.told
         joined = self._joined(told, self.covariance)
@@ -233,11 +235,11 @@ class Tracker:
             covariance=P,
             trust=seen.trust,
             agreement=usual,
-            image=image,
+            frame=frame,
             lost=0,
         )
         return after, Tracked(
-            name=image.name,
+            name=frame.image.name,
             status=TrackStatus.TRACKING,
             alarm=alarm,
             message=words,
