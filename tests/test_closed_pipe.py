@@ -42,5 +42,6 @@ def test_follow_writes_every_line(tmp_path: Path):
     file = tiny_job.write(tmp_path, tiny_job.ARM_JOB)
     out = tmp_path / "out"
     code, said = run_unread("follow", str(file), "--out", str(out), "--json")
-    assert (code, said) == (3, "")
+    assert code == 3
+    assert said == f"no frame was explained: torchcal check {file} names mistakes that it finds\n"
     assert len((out / "frames.jsonl").read_text(encoding="utf-8").splitlines()) == 2

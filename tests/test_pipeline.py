@@ -198,13 +198,14 @@ def test_an_answer_that_a_misread_image_gave_cannot_be_used():
 
 def test_an_answer_that_explains_too_little_for_all_says_how_much(calibration):
     assert calibration.estimate.message.startswith("The model explains the images and")
-    found = answer(one_view(with_something_before_the_left_third))
+    found = answer(one_view(with_something_before_the_left_quarter))
     assert found.estimate.status is Status.CONVERGED
     assert found.warnings == ()
     words = r"The model explains at least (\d+) % of what was measured in each image, and the "
     share = re.match(words + "estimated pose can be used", found.estimate.message)
     assert share is not None
-    assert 62 <= int(share[1]) <= 70
+    # Three quarters, less the beams at edges whose residuals a pose that is a little off enlarges.
+    assert 70 <= int(share[1]) <= 75
 
 
 def one_view(change: Callable[[Tensor], Tensor]) -> Job:
@@ -216,7 +217,7 @@ def one_view(change: Callable[[Tensor], Tensor]) -> Job:
     return replace(job, frames=(replace(frame, image=image),))
 
 
-def with_something_before_the_left_third(ranges: Tensor) -> Tensor:
+def with_something_before_the_left_quarter(ranges: Tensor) -> Tensor:
     changed = ranges.clone()
-    changed[:, : ranges.shape[1] // 3] -= 0.5
+    changed[:, : ranges.shape[1] // 4] -= 0.5
     return changed

@@ -12,7 +12,7 @@ from trimesh.visual.material import PBRMaterial
 
 from torchcal.calibrate.decisions import Transaction
 from torchcal.calibrate.kept_result import kept
-from torchcal.calibrate.result import Status
+from torchcal.calibrate.result import Status, Verdict
 from torchcal.display.view import words
 from torchcal.display.view.objects import GONE, NEW, for_browser, shown_objects
 from torchcal.display.view.settings import Settings, object_names, shoulder_look
@@ -44,7 +44,7 @@ def test_proposals_shine_through(transaction):
 
 def test_what_is_adjusted_stands_there_once(transaction):
     verdicts = transaction.update.verdicts
-    wall = replace(verdicts["wall"], verdict="agrees")
+    wall = replace(verdicts["wall"], verdict=Verdict.AGREES)
     update = replace(transaction.update, verdicts={**verdicts, "wall": wall})
     adjusted = Transaction.undecided("job.toml", transaction.world, update)
     assert [each for each in drawn(adjusted) if each[0] == "wall"] == [

@@ -20,6 +20,7 @@ from torchcal.calibrate.result import (
     Estimate,
     FrameComparison,
     Status,
+    rivals_words,
 )
 from torchcal.calibrate.slots import BASE, MOUNT
 from torchcal.geometry import gaussian, robust
@@ -138,7 +139,7 @@ def doubted(estimate: Estimate, mistakes: Sequence[str]) -> Estimate:
         estimate: What was found.
         mistakes: From ``misreadings``: sentences.
     """
-    if not mistakes or estimate.status != Status.CONVERGED:
+    if not mistakes or estimate.status == Status.FAILED:
         return estimate
     message = f"A pose was found, but {mistakes[0][0].lower()}{mistakes[0][1:]}"
     return replace(estimate, status=Status.FAILED, message=message)
@@ -211,7 +212,7 @@ def _message(status: Status, rivals: int, belief: Belief, agreement: float) -> s
     return {
         Status.CONVERGED: f"The model explains {images} and the estimated pose can be used"
         f"{worth_words(belief)}.",
-        Status.AMBIGUOUS: f"{rivals} other poses explain the images as well: do not use this one "
+        Status.AMBIGUOUS: f"{rivals_words(rivals, 'the images')}: do not use this one "
         "without knowing which is right.",
         Status.UNOBSERVABLE: "The images leave a pose open in some direction, and what is given "
         f"there comes from the prior{worth_words(belief)}.",

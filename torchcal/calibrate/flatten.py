@@ -52,6 +52,8 @@ def flattened(
         m = _fitted(points[on], ranges[on])
         around = np.asarray(ndimage.binary_closing(on, EVERY_NEIGHBOUR), bool)
         on = left & around & (_off(m, points, ranges) <= WILD * sigma)
+        if not on.any():
+            break
         if np.sqrt(np.mean(_off(m, points[on], ranges[on]) ** 2)) <= FLAT * sigma:
             result[on] = 1.0 / (rays[on] @ m)
         left = left & ~on

@@ -15,7 +15,7 @@ from torchcal.calibrate.observability import poses_are_told, unobservable_direct
 from torchcal.calibrate.one_view import OneView, as_states, drawn_about, free_sensor
 from torchcal.calibrate.parameters import FARTHEST, Parameters
 from torchcal.calibrate.pixel_stage import PixelFit, block_fit, compared, pixel_fit
-from torchcal.calibrate.result import Status
+from torchcal.calibrate.result import Status, rivals_words
 from torchcal.calibrate.site import Site
 from torchcal.calibrate.whereabouts import (
     DRAWS,
@@ -265,7 +265,7 @@ def _nothing(clock: Clock) -> Localisation:
 def _message(status: Status, rivals: int) -> str:
     return {
         Status.CONVERGED: "The model explains the image; the pose can be used.",
-        Status.AMBIGUOUS: f"{rivals} other poses explain the image as well: do not use this one "
+        Status.AMBIGUOUS: f"{rivals_words(rivals, 'the image')}: do not use this one "
         "without knowing which is right.",
         Status.UNOBSERVABLE: "The image leaves the sensor's pose open in some direction.",
         Status.FAILED: "No pose was found that explains the image.",

@@ -21,6 +21,12 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
+def rivals_words(count: int, what: str) -> str:
+    """The beginning of a sentence: so many other poses explain "the image" or "the images"."""
+    others = "1 other pose explains" if count == 1 else f"{count} other poses explain"
+    return f"{others} {what} as well"
+
+
 class PixelClass(IntEnum):
     """What the comparison of eq. 5 says of a pixel."""
 

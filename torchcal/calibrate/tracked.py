@@ -61,9 +61,3 @@ def expected_words(agreement: float, usual: float) -> str:
     if usual < EXPLAINED:
         return f"The model explains only {share}"
     return f"What is estimated is as expected; the model agrees with {share}"
-
-
-def rivals_words(count: int) -> str:
-    """Of a frame that other states explain as well; the sentence has no end yet."""
-    others = "1 other pose explains" if count == 1 else f"{count} other poses explain"
-    return f"{others} the image as well: none of them is believed"

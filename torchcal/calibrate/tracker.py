@@ -22,8 +22,9 @@ from torchcal.calibrate.live_frame import is_repeated, only_frame, usable_frame
 from torchcal.calibrate.observability import parameter_words
 from torchcal.calibrate.parameters import Parameters
 from torchcal.calibrate.pipeline import build_job_scene
+from torchcal.calibrate.result import rivals_words
 from torchcal.calibrate.slots import BASE
-from torchcal.calibrate.tracked import Tracked, TrackStatus, expected_words, rivals_words
+from torchcal.calibrate.tracked import Tracked, TrackStatus, expected_words
 from torchcal.calibrate.wander import Wander, own_error, usually_unsure
 from torchcal.errors import TorchcalError
 from torchcal.geometry import gaussian
@@ -215,7 +216,8 @@ class Tracker:
         if seen.told.agreement < least or self._is_far(seen.told.state):
             return TrackStatus.LOST, f"The image is not explained, {row}."
         if seen.rivals:
-            return TrackStatus.AMBIGUOUS, f"{rivals_words(seen.rivals)}, {row}."
+            words = rivals_words(seen.rivals, "the image")
+            return TrackStatus.AMBIGUOUS, f"{words}: none of them is believed, {row}."
         return None
 
     def _believing(self, seen: Sighting, frame: Frame, began: float) -> tuple["Tracker", Tracked]:
